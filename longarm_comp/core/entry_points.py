@@ -16,10 +16,7 @@ from longarm_comp.core.errors import InputError
 
 
 def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
-    """Yield name, object and origin of each entry point of a group, in the order of the names.
-
-    Raises InputError if one cannot be loaded.
-    """
+    """Yield name, object and origin of each entry point, by name; InputError if one cannot load."""
     for point in sorted(entry_points(group=group), key=lambda p: p.name):
         package = f"package {point.dist.name} {point.dist.version}" if point.dist else "a package"
         source = f"{package}, entry point {point.name}"
@@ -32,11 +29,7 @@ def of_other_packages(group: str) -> Iterator[tuple[str, Any, str]]:
 
 
 def protocols_of_other_packages(group: str, base: type) -> Iterator[tuple[Any, str]]:
-    """Yield class and origin of each entry point of a group.
-
-    Raises:
-        InputError: an object is no concrete subclass of `base`, or has another name.
-    """
+    """Yield class and origin of each entry point; InputError if it is no such class of `base`."""
     for name, kind, source in of_other_packages(group):
         if not (isinstance(kind, type) and issubclass(kind, base)) or inspect.isabstract(kind):
             allowed = f"a class of {base.__name__}, nothing abstract"

@@ -98,10 +98,7 @@ def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def follow_link(path: str | os.PathLike[str]) -> Path:
-    """Return the path itself, or the file that a symbolic link leads to, which need not exist.
-
-    Raises InputError if links lead in a circle.
-    """
+    """Return the file that a path or symbolic link leads to; InputError for links in a circle."""
     target = Path(path)
     if not os.path.islink(target):
         return target
@@ -128,8 +125,7 @@ def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
     """Write bytes to ``path``, whole or not at all.
 
-    For formats of other libraries, let the library write into memory first: on a full disk some
-    raise errors of any kind.
+    Let other libraries write into memory first: on a full disk some raise errors of any kind.
     """
     with atomic_path(path) as partial:
         partial.write_bytes(content)
@@ -154,7 +150,7 @@ def lock_beside(path: Path) -> IO[bytes] | None:
     ends.
 
     Returns:
-        The hidden file; None if it cannot be made, and then nothing is locked.
+        The hidden file; None if it cannot be made or locked, and then nothing is locked.
 
     Raises:
         InputError: another process holds the lock.
@@ -169,6 +165,9 @@ def lock_beside(path: Path) -> IO[bytes] | None:
     except BlockingIOError:
         lock.close()
         raise InputError(path, "file", "in use by another process", "one file each") from None
+    except OSError:  # a file system without locks
+        lock.close()
+        return None
     return lock
 
 
@@ -199,11 +198,7 @@ def alone_in(folder: Path) -> Iterator[None]:
 
 
 def check_writable(folder: Path) -> None:
-    """Make a folder if it is missing, and write a file there to see whether that is possible.
-
-    Raises:
-        InputError: nothing can be written there.
-    """
+    """Make a folder if it is missing; InputError if no file can be written there."""
     handle, partial = _partial_beside(folder / "file")
     partial.unlink()
     os.close(handle)
@@ -224,7 +219,8 @@ def _partial_beside(target: Path) -> tuple[int, Path]:
                     left.unlink()
         while True:
             handle, name = tempfile.mkstemp(dir=target.parent, prefix=begin, suffix=target.suffix)
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            with suppress(OSError):  # a file system without locks
+                fcntl.flock(handle, fcntl.LOCK_EX)
             if os.fstat(handle).st_nlink:  # nobody removed it before it was locked
                 return handle, Path(name)
             os.close(handle)

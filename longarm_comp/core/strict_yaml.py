@@ -76,11 +76,7 @@ def read_yaml(path: str | Path) -> Any:
 
 
 def read_text(path: str | Path) -> str:
-    """Return the text of a YAML file.
-
-    Raises:
-        InputError: it is no regular file in UTF-8 of at most `MOST_BYTES`.
-    """
+    """Return the text of a file; InputError unless it is regular UTF-8 of up to `MOST_BYTES`."""
     where = str(path)
     check_regular(path)
     try:
@@ -137,10 +133,10 @@ def _check(root: yaml.Node) -> None:
         seen.add(id(node))
         if isinstance(node, yaml.ScalarNode):
             _check_number(node, path or "document")
-        ahead += reversed(list(_is_inside(node, path)))
+        ahead += reversed(list(_list_children(node, path)))
 
 
-def _is_inside(node: yaml.Node, path: str) -> Iterator[tuple[yaml.Node, str]]:
+def _list_children(node: yaml.Node, path: str) -> Iterator[tuple[yaml.Node, str]]:
     if isinstance(node, yaml.SequenceNode):
         for k, value in enumerate(node.value):
             yield value, f"{path}.{k}".lstrip(".")
@@ -165,9 +161,7 @@ def _check_number(node: yaml.ScalarNode, field: str) -> None:
     else:
         plain = _OCTAL_LIKE.fullmatch(text) is None
     if not plain:
-        line = node.start_mark.line + 1
-        raise _Refused(
-            f"{field} (line {line})", text, "a decimal number such as 15 or -1.5; text in quotes"
-        )
+        allowed = "a decimal number such as 15 or -1.5; text in quotes"
+        raise _Refused(f"{field} (line {node.start_mark.line + 1})", text, allowed)
     if node.tag == _FLOAT and text[-1].isdigit() and not math.isfinite(float(text)):
         raise _Refused(field, text, "a finite number")

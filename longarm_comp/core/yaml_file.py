@@ -76,7 +76,11 @@ class Declared(Closed):
             for path, value in _leaves(key, getattr(self, key)):
                 if isinstance(value, (int, float)) and not lower <= value <= upper:
                     raise Misdeclared(path, value, f"{lower:g} to {upper:g}")
+        self.check_together()
         return self
+
+    def check_together(self) -> None:
+        """Raise `Misdeclared` if values that are in their ranges do not fit together."""
 
 
 def range_of(key: str) -> tuple[float, float]:

@@ -14,19 +14,13 @@ STRAIGHT = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class CubicPath:
-    """Cubic Hermite segments, as joint trajectory controllers follow them.
+    """Cubic Hermite segments, as joint trajectory controllers follow them."""
 
-    Attributes:
-        times: (k,) s, increasing.
-        joints: (k, n) rad or m at these times.
-        velocities: (k, n) rad/s or m/s at these times.
-        stretch: factor by which the duration was multiplied to keep limits, or to take up play.
-    """
-
-    times: Array
-    joints: Array
-    velocities: Array
+    times: Array  # (k,) s, increasing
+    joints: Array  # (k, n) rad or m at these times
+    velocities: Array  # (k, n) rad/s or m/s at these times
     stretch: float = 1.0
+    """Factor by which the duration was multiplied to keep limits, or to take up play."""
 
     def at(self, time_s: npt.ArrayLike, order: int = 0) -> Array:
         """Return the joints (..., n) at times (...), s, or their derivative of an order up to 3.
@@ -118,12 +112,9 @@ class CubicPath:
 
 
 def split(pieces: np.ndarray) -> Array:
-    """Divide intervals of length 1 into equal pieces; return the ends of all pieces.
+    """Divide intervals of length 1 into numbers of equal pieces; return the ends of all pieces.
 
     They are (sum(pieces) + 1,), from 0; 1.5 is the middle of the second interval.
-
-    Args:
-        pieces: number of pieces of each interval.
     """
     k = np.repeat(np.arange(len(pieces)), pieces)
     begun = np.repeat(np.cumsum(pieces) - pieces, pieces)

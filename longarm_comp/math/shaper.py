@@ -13,17 +13,11 @@ Way = Callable[[np.ndarray], np.ndarray]
 
 @dataclass(frozen=True, eq=False)
 class Shaper:
-    """The parts (delayed, stretched copies) of a motion that begins at time 0.
+    """The parts (delayed, stretched copies) of a motion that begins at time 0."""
 
-    Attributes:
-        weights: (P,) shares of the parts, none negative; they add up to 1.
-        begins, ends: (P,) s: delays of the beginning and of the end of each part. The end is
-            delayed at least as much, so no part is faster than the motion.
-    """
-
-    weights: np.ndarray
-    begins: np.ndarray
-    ends: np.ndarray
+    weights: np.ndarray  # (P,) shares of the parts, none negative; they add up to 1
+    begins: np.ndarray  # (P,) s, delay of the beginning of each part
+    ends: np.ndarray  # (P,) s, of its end, at least as much: no part is faster than the motion
 
     @property
     def duration(self) -> float:
@@ -31,11 +25,7 @@ class Shaper:
         return float(self.ends.max(initial=0.0))
 
     def since(self, times: np.ndarray, seconds: float) -> np.ndarray:
-        """Return (P, M), s: the time of the motion that each part has reached at times (M,), s.
-
-        Args:
-            seconds: duration of the motion without shaping.
-        """
+        """Return (P, M), s: the time that each part of a motion of `seconds` has reached."""
         pace = seconds / (seconds + self.ends - self.begins)
         since = np.subtract.outer(times, self.begins) * pace
         return np.asarray(np.clip(since, 0.0, seconds).T)

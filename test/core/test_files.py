@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import stat
 import subprocess
@@ -13,7 +15,7 @@ import pytest
 from unprivileged import unprivileged
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import atomic_path, write_text
+from longarm_comp.core.files import alone_in, atomic_path, lock_beside, write_text
 
 
 def test_text_arrives_in_a_folder_that_is_made(tmp_path: Path) -> None:
@@ -80,6 +82,21 @@ def test_what_a_killed_writer_left_goes_with_the_next_and_a_living_one_keeps_its
     living.communicate("")
     assert target.read_text() == "half of the new"
     assert sorted(os.listdir(tmp_path)) == [".model.original.yaml", "model.yaml"]
+
+
+def test_a_file_system_without_locks_takes_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    write_text(tmp_path / "model.yaml", "whole")
+    assert (tmp_path / "model.yaml").read_text() == "whole"
+    assert os.listdir(tmp_path) == ["model.yaml"]
+    assert lock_beside(tmp_path / "learned.npz") is None
+    with alone_in(tmp_path):
+        pass
 
 
 def test_permissions_are_those_of_a_plain_or_of_the_replaced_file(tmp_path: Path) -> None:

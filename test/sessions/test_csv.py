@@ -80,7 +80,9 @@ def test_reads_public_measurements_as_they_are(name: str, rows: int, data_dir: P
     difference = np.stack([session.columns[f"dif_{c}"] for c in "xyz"], -1)
     assert np.allclose(session.xyz, target + difference, atol=1e-6)
     # joints 7 of the WAM and 6 of the UR5 turn about a line through the target
-    assert {finding.check for finding in admit(session, arm).findings} <= {"outliers", "sign"}
+    harmless = ("gross outliers", "its sign does not show")
+    found = admit(session, arm).findings
+    assert all(any(words in finding.message for words in harmless) for finding in found)
 
 
 def test_only_joints_and_positions_are_required(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from longarm_comp.core.arm.joint import Joint
 from longarm_comp.core.arm.measuring import (
@@ -33,12 +33,6 @@ from longarm_comp.core.arm.spatial import IDENTITY
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 from longarm_comp.core.yaml_file import Declared, Misdeclared, parse_declared, read_yaml
-
-STILL = 1e-4
-"""A joint that moves by less than this fraction of its range counts as standing still.
-
-It is 0.04 degrees of a full turn, less than the repeatability of drives.
-"""
 
 
 class Arm(Declared):
@@ -73,21 +67,20 @@ class Arm(Declared):
     keep_out: dict[str, Box] = Field(default_factory=dict)
     tolerance: Placements = Placements()
 
-    @model_validator(mode="after")
-    def _check_chain(self) -> Arm:
+    def check_together(self) -> None:
         rows, ids = len(self.joints), [j.id for j in self.joints]
         if ids != list(range(1, rows + 1)):
             raise Misdeclared("joints.id", ids, f"1..{rows} in order, base to tip")
-        carried = [("tip", self.tip.frame)]
-        carried += [(f"point_masses.{k}", m.frame) for k, m in enumerate(self.point_masses)]
-        carried += [(f"markers.{k}", m.frame) for k, m in self.markers.items()]
         for k, sensor in self.sensors.items():
             if isinstance(sensor, Inclinometer) and (sensor.row or 0) > rows:
                 raise Misdeclared(f"sensors.{k}.row", sensor.row, f"0..{rows}")
-        carried += [("payload", self.payload.frame)] if self.payload else []
-        for owner, frame in carried:
-            if not 0 <= frame <= rows:
-                raise Misdeclared(f"{owner}.frame", frame, f"0..{rows}")
+        carried: dict[str, Any] = {"tip": self.tip}
+        carried |= {f"point_masses.{k}": m for k, m in enumerate(self.point_masses)}
+        carried |= {f"markers.{k}": m for k, m in self.markers.items()}
+        carried |= {"payload": self.payload} if self.payload else {}
+        for owner, part in carried.items():
+            if not 0 <= part.frame <= rows:
+                raise Misdeclared(f"{owner}.frame", part.frame, f"0..{rows}")
         for name in self.tolerance.markers:
             if name not in self.markers:
                 declared = f"a declared marker: {', '.join(self.markers) or 'none'}"
@@ -111,7 +104,6 @@ class Arm(Declared):
                 allowed = "where the rows that mimic it turn, by whole turns"
                 raise Misdeclared(f"joints.{number - 1}.endless", True, allowed)
         self._check_beams()
-        return self
 
     def _check_beams(self) -> None:
         names = [beam.name for beam in self.links]
@@ -176,11 +168,7 @@ class Arm(Declared):
         return tuple(self.joints[i - 1].name or f"joint{i}" for i in self.commanded)
 
     def order(self, names: list[str], where: str) -> list[int]:
-        """Return the index in `names` of every commanded joint, in the order of q.
-
-        Raises:
-            InputError: the name of a joint is missing; the error quotes `where` as the source.
-        """
+        """Return the index in `names` of every commanded joint; InputError if one is missing."""
         for name in self.joint_names:
             if name not in names:
                 raise InputError(where, f"servo of {name}", "missing", ", ".join(names))
@@ -248,9 +236,10 @@ class Arm(Declared):
     def telling(self) -> np.ndarray:
         """(n,) smallest motion of each joint, rad or m, that counts as a motion.
 
-        It is the step of the joint's servo, or a ten-thousandth of the range if this is larger.
+        It is the step of the joint's servo, or a ten-thousandth of the range if this is larger:
+        0.04 degrees of a full turn, less than the repeatability of drives.
         """
-        return np.maximum(self.steps, STILL * (self.upper - self.lower))
+        return np.maximum(self.steps, 1e-4 * (self.upper - self.lower))
 
     @property
     def mid(self) -> np.ndarray:
@@ -336,11 +325,7 @@ class Arm(Declared):
 
     @classmethod
     def load(cls, path: str | Path) -> Arm:
-        """Read `arm.yaml`.
-
-        Raises:
-            InputError: a key or a value is not allowed.
-        """
+        """Read `arm.yaml`; InputError if a key or a value is not allowed."""
         if Path(path).suffix.lower() in (".urdf", ".xacro", ".xml"):
             raise InputError(path, "file", "a URDF", "an arm.yaml: longarm import-urdf makes one")
         return cls.parse(read_yaml(path), str(path))

@@ -13,15 +13,9 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.yaml_file import range_of
 
 MOST_K = 100.0
-"""Largest plausible distance (K) of a temperature from the arm's reference temperature.
-
-A value in kelvin is farther off, and so is refused.
-"""
+"""Largest plausible distance (K) from the arm's reference temperature; kelvin are farther off."""
 MOST_PAYLOADS = 10.0
-"""Largest payload as a multiple of the declared one, if arm.yaml gives no `payload.most_kg`.
-
-The arm's own mass is allowed too, if it is larger: no known robot carries more.
-"""
+"""Largest payload over the declared one, if arm.yaml gives no `payload.most_kg`."""
 
 
 def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
@@ -29,8 +23,8 @@ def allowed_range(arm: Arm, name: str) -> tuple[float, float]:
 
     `temperature_c` lies within `MOST_K` of the arm's reference temperature. `payload_kg` is at most
     `payload.most_kg` of arm.yaml, else `MOST_PAYLOADS` times the declared payload or the arm's own
-    mass; 0 if arm.yaml has no payload. Tilts (`incl_...`) are at most one turn. Other columns
-    have the range that belongs to the unit in their name, or an infinite one.
+    mass (no known robot carries more); 0 if arm.yaml has no payload. Tilts (`incl_...`) are at most
+    one turn. Other columns have the range of the unit in their name, or an infinite one.
     """
     lower, upper = range_of(name)
     if name == "temperature_c":

@@ -13,6 +13,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -39,10 +40,7 @@ def is_told(name: str) -> bool:
 
 
 def name_tilt(frame_id: str, about_x: float, about_y: float) -> dict[str, float]:
-    """Return the tilt (rad) that a sensor on a frame measures, as columns by name.
-
-    An empty `frame_id` and ``base`` mean the base, which is row 0.
-    """
+    """Return a tilt (rad) measured on a frame, as columns by name; "" and ``base`` are row 0."""
     frame = re.sub(r"\W+", "_", frame_id)
     frame = "0" if frame in ("", "base") else frame
     return {f"incl_{frame}_x": about_x, f"incl_{frame}_y": about_y}
@@ -120,10 +118,7 @@ class Context:
         return self.column("payload_kg", declared)
 
     def of_joint(self, name: str, joint: int) -> tuple[Scalar, ...]:
-        """Return the scalars of a per-joint field at commanded joint `joint` (0-based).
-
-        They are 0 where the history is unknown.
-        """
+        """Return the scalars of a per-joint field at a commanded joint (0-based); 0: unknown."""
         width = WIDTH[name]
         values: tuple[Scalar, ...] = getattr(self, name)
         return values[width * joint : width * (joint + 1)] if values else (0.0,) * width
@@ -158,14 +153,13 @@ class Context:
         return Context(**history, columns=columns, labels=labels)
 
     def each(self, count: int) -> list[Context]:
-        """Return the N contexts of N postures, each as `take` would return it.
-
-        Args:
-            count: N.
+        """Return the N (`count`) contexts of N postures, each as `take` would return it.
 
         Raises:
             InputError: a quantity has more or fewer than N values.
         """
+        if not self.differs:
+            return [self] * count
 
         def rows(name: str, value: Any) -> list[Any]:
             if not _of_each(value):
@@ -177,8 +171,6 @@ class Context:
             return every
 
         fields: dict[str, Iterable[Any]] = {}
-        if not self.differs:
-            return [self] * count
         for f in dataclasses.fields(self):
             held = getattr(self, f.name)
             named = f.name not in PER_JOINT
@@ -219,17 +211,11 @@ def _of_each(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which numbers a `Context` holds, so that a compiled model reads them in a fixed order.
+    """Which numbers a `Context` holds, so that a compiled model reads them in a fixed order."""
 
-    Attributes:
-        joints: number of scalars of each per-joint field, in the order of `PER_JOINT`.
-        columns: names of the columns, sorted.
-        labels: names and values of the text columns, which are constants in compiled code.
-    """
-
-    joints: tuple[int, ...]
-    columns: tuple[str, ...]
-    labels: tuple[tuple[str, object], ...]
+    joints: tuple[int, ...]  # number of scalars of each per-joint field, in order of `PER_JOINT`
+    columns: tuple[str, ...]  # sorted
+    labels: tuple[tuple[str, object], ...]  # text columns, which are constants in compiled code
 
     @property
     def traceable(self) -> bool:
@@ -243,21 +229,14 @@ class Layout:
 
     def unpack(self, values: Sequence[Any]) -> Context:
         """Return the context that holds `values`, which are `count` numbers in `pack` order."""
-        fields: dict[str, Any] = {}
-        first = 0
-        for name, count in zip(PER_JOINT, self.joints, strict=True):
-            fields[name] = tuple(values[first : first + count])
-            first += count
-        columns = dict(zip(self.columns, values[first:], strict=True))
+        ahead = iter(values)
+        sizes = zip(PER_JOINT, self.joints, strict=True)
+        fields: dict[str, Any] = {name: tuple(islice(ahead, count)) for name, count in sizes}
+        columns = dict(zip(self.columns, ahead, strict=True))
         return Context(**fields, columns=columns, labels=dict(self.labels))
 
     def pack(self, context: Context, count: int) -> np.ndarray:
-        """Return the numbers of a context as rows (N, `self.count`).
-
-        Args:
-            context: the circumstances of N targets, or of one, which is then repeated.
-            count: N.
-        """
+        """Return the numbers of a context of N (`count`) targets, or one, as (N, `self.count`)."""
         values = [value for name in PER_JOINT for value in getattr(context, name)]
         values += [context.columns[name] for name in self.columns]
         rows = np.empty((count, len(values)))

@@ -25,17 +25,13 @@ class NotYet(UnknownPlace):
 
 @dataclass
 class _Child:
-    """The poses of a frame in its parent frame.
-
-    Attributes:
-        times: ns, ascending.
-        places: position (m) and quaternion x, y, z, w at each time.
-    """
+    """The poses of a frame in its parent frame."""
 
     parent: str
     static: bool
-    times: list[int] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)  # ns, ascending
     places: list[tuple[np.ndarray, np.ndarray]] = field(default_factory=list)
+    """Position (m) and quaternion x, y, z, w at each time."""
 
     def store(self, t_ns: int, place: tuple[np.ndarray, np.ndarray]) -> None:
         """Store a pose (m; x, y, z, w) at a time (ns), and delete poses more than 10 s older.
@@ -52,15 +48,7 @@ class _Child:
         del self.times[:old], self.places[:old]
 
     def at(self, name: str, t_ns: int) -> np.ndarray:
-        """Return the pose (4, 4) in the parent frame at a time (ns).
-
-        Args:
-            name: the frame, as errors call it.
-
-        Raises:
-            NotYet: no pose of this time or later was published yet.
-            UnknownPlace: the oldest stored pose is later.
-        """
+        """Return the pose (4, 4) in the parent frame at a time (ns); errors quote its `name`."""
         if self.static:
             return quaternion.compute_pose(*self.places[0])
         if t_ns > self.times[-1]:
@@ -163,23 +151,16 @@ class FrameTree:
 
 
 def turned_covariance(pose: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Rotate a covariance (6, 6) of position and rotation from a frame's axes to its parent's.
+    """Rotate a covariance (6, 6) of position and rotation from a frame to its parent.
 
-    Args:
-        pose: (4, 4) pose of the frame in the parent.
-        covariance: in the axes of the frame.
+    `pose` (4, 4) is that of the frame in the parent.
     """
     turn = np.kron(np.eye(2), pose[:3, :3])
     return np.asarray(turn @ covariance @ turn.T)
 
 
 def carry_place(pose: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """Transform points (..., 3), m, or poses (..., 4, 4) from a frame to its parent.
-
-    Args:
-        pose: (4, 4) pose of the frame in the parent.
-        target: the points or poses, given in the frame.
-    """
+    """Transform points (..., 3), m, or poses (..., 4, 4) by the `pose` of their frame (4, 4)."""
     if target.shape[-2:] == (4, 4):
         return np.asarray(pose @ target)
     return np.asarray(target @ pose[:3, :3].T + pose[:3, 3])

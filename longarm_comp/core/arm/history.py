@@ -42,12 +42,9 @@ def add_way(legs: Sequence[float], way: float) -> list[float]:
 
 
 def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[float, list[float]]:
-    """Return the side of arrival and the legs of a joint after several displacements.
+    """Return side of arrival (-1, 0: unknown, +1) and legs after displacements, the oldest first.
 
-    Args:
-        side: side of arrival before them: -1, 0 (unknown) or +1.
-        legs: legs before them (`add_way`).
-        ways: signed displacements (rad, m), the oldest first.
+    `side` and `legs` are those before them; `ways` are signed (rad, m).
     """
     for way in ways:
         if abs(way) >= SAME_POSE:
@@ -57,11 +54,7 @@ def move_joint(side: float, legs: list[float], ways: Sequence[float]) -> tuple[f
 
 
 def last_way(ways: Sequence[float]) -> float:
-    """Return a joint's displacement since it last reversed in one motion.
-
-    Args:
-        ways: signed displacements (rad, m) of the motion, the oldest first.
-    """
+    """Return a joint's displacement since it last reversed in a motion of `ways`, oldest first."""
     run = 0.0
     for way in reversed(ways):
         if run * way < 0.0:
@@ -71,10 +64,7 @@ def last_way(ways: Sequence[float]) -> float:
 
 
 def _walk(side: float, held: list[float], ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return side (k,) and legs (k, LEGS) of a joint after each of k displacements.
-
-    The result is that of `move_joint`, applied k times.
-    """
+    """Return side (k,) and legs (k, LEGS) after each of k displacements, as by `move_joint`."""
     moves = np.abs(ways) >= SAME_POSE
     done = ways[moves]
     sides = np.append(np.sign(done), side)  # the last: before the first move
@@ -120,19 +110,11 @@ def compute_play_range(legs: Sequence[Scalar], radius: Scalar) -> tuple[Scalar, 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The last moves of every joint. Its fields are the per-joint fields of `Context`.
+    """The last moves of every joint: the per-joint fields of `Context` as arrays."""
 
-    Attributes:
-        approach: (n,) or (N, n) of -1, 0 (unknown), +1: the side each joint arrived from.
-        legs: (n, LEGS) or (N, n, LEGS) signed displacements (rad, m) between reversals, the latest
-            first, as `add_way` keeps them; 0 where there is none or it is not known.
-        last_way: (n,) or (N, n) signed displacement (rad, m) since the joint last stood still or
-            reversed; 0 where it did not move or this is not known.
-    """
-
-    approach: np.ndarray
-    legs: np.ndarray
-    last_way: np.ndarray
+    approach: np.ndarray  # (n,), or (N, n) of N postures
+    legs: np.ndarray  # (n, LEGS) or (N, n, LEGS) rad, m
+    last_way: np.ndarray  # (n,) or (N, n) rad, m
 
     @classmethod
     def unknown(cls, n: int) -> History:
@@ -147,11 +129,11 @@ class History:
             start: (n,) where the joints stood; None if neither this nor their history is known.
         """
         path = points if start is None else np.concatenate([start[None], points])
-        ways = (path[1:] - path[:-1]).T.tolist()
-        legs = np.zeros_like(self.legs) if start is None else self.legs
+        ways = np.diff(path, axis=0).T.tolist()
         sides, made = self.approach.astype(float), np.zeros_like(self.legs)
-        for joint, held in enumerate(legs.tolist()):
-            side, after = move_joint(float(sides[joint]), [leg for leg in held if leg], ways[joint])
+        for joint, held in enumerate(self.legs.tolist()):
+            before = [] if start is None else [leg for leg in held if leg]
+            side, after = move_joint(float(sides[joint]), before, ways[joint])
             sides[joint], made[joint, : len(after)] = side, after
         return History(sides, made, np.array([last_way(each) for each in ways]))
 
@@ -159,20 +141,15 @@ class History:
         """Return the history at each of k way-points of one motion without a stop.
 
         Every field has one more axis, of length k, in front. Sides and legs are those of `after`;
-        `last_way` is the displacement since the previous way-point.
-
-        Args:
-            points: (k, n) way-points, rad and m.
-            start: (n,) where the joints stood; None if neither this nor their history is known: the
-                motion then begins at the first way-point.
+        `last_way` is the displacement since the previous way-point.  Arguments as of `after`; with
+        an unknown start the motion begins at the first way-point.
         """
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])
-        legs = np.zeros_like(self.legs) if start is None else self.legs
         sides, made = np.zeros(ways.shape), np.zeros((*ways.shape, LEGS))
-        for joint, side in enumerate(self.approach.tolist()):
-            held = [leg for leg in legs[joint].tolist() if leg]
-            sides[:, joint], made[:, joint] = _walk(side, held, ways[:, joint])
+        for joint, (side, legs) in enumerate(zip(self.approach, self.legs.tolist(), strict=True)):
+            held = [] if start is None else [leg for leg in legs if leg]
+            sides[:, joint], made[:, joint] = _walk(float(side), held, ways[:, joint])
         return History(sides, made, ways)
 
     def with_sides(self, sides: np.ndarray) -> History:
@@ -182,10 +159,7 @@ class History:
             sides: (n,) of +-1; 0 leaves a joint as it is. The displacements of joints whose side
                 is replaced become unknown.
         """
-        mine = sides != 0
-        legs = np.where(mine[:, None], 0.0, self.legs)
-        way = np.where(mine, 0.0, self.last_way)
-        return History(np.where(mine, sides, self.approach), legs, way)
+        return self._of_joints(sides == 0, sides)
 
     def agrees(self, other: History) -> bool:
         """Tell whether two histories are equal to within 10 microradians or micrometres."""
@@ -194,10 +168,13 @@ class History:
 
     def common_with(self, other: History) -> History:
         """Return this history, set to 0 (unknown) for joints whose sides of arrival differ."""
-        same = np.sign(self.approach) == np.sign(other.approach)
-        legs = np.where(same[:, None], self.legs, 0.0)
-        way = np.where(same, self.last_way, 0.0)
-        return History(np.where(same, self.approach, 0), legs, way)
+        return self._of_joints(np.sign(self.approach) == np.sign(other.approach), 0)
+
+    def _of_joints(self, known: np.ndarray, sides: np.ndarray | int) -> History:
+        """Return the history of some joints (n,) bool; the others have only given sides."""
+        legs = np.where(known[:, None], self.legs, 0.0)
+        approach = np.where(known, self.approach, sides)
+        return History(approach, legs, np.where(known, self.last_way, 0.0))
 
     def fields(self) -> dict[str, Any]:
         """Return the per-joint fields of a `Context` of one posture or N; 0 where unknown."""
@@ -251,10 +228,7 @@ def recorded_history(
 
 
 def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return the (N, n) displacements from the row before, rad and m.
-
-    They are NaN in the first row and after a gap of the index.
-    """
+    """Return (N, n) displacements (rad, m) from the row before; NaN after a gap of the index."""
     ways = np.full(q.shape, np.nan)
     known = np.isin(np.diff(index), (0, 1))
     ways[1:][known] = np.diff(q, axis=0)[known]
@@ -262,24 +236,16 @@ def straight_ways(q: np.ndarray, index: np.ndarray) -> np.ndarray:
 
 
 def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return for each row (N,) the number of the first row of the same stop of the arm.
-
-    Successive rows of equal index and equal joints belong to one stop.
-    """
+    """Return for each row (N,) the first row of its stop: successive ones of equal index and q."""
     moved = np.ones(len(q), dtype=bool)
     moved[1:] = (np.diff(index) != 0) | (np.abs(np.diff(q, axis=0)) >= SAME_POSE).any(axis=1)
     return np.maximum.accumulate(np.where(moved, np.arange(len(q)), 0))
 
 
 def read_sides(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
-    """Return the recorded side of arrival, (N, n) of -1, 0, +1.
+    """Return the recorded side of arrival, (N, n) of -1, 0, +1; 0 if the run-up is recorded.
 
-    It is 0 for a joint whose run-up is recorded, or if no side was recorded.
-
-    Args:
-        q: (N, n) commanded joints.
-        approach: (N,) or (N, n) recorded sides; NaN counts as 0.
-        run_up: (N, n) where the run-up began; NaN if it is not recorded.
+    Arguments as of `recorded_history`.
     """
     if approach is None:
         return np.zeros(q.shape)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from longarm_comp.core.arm.parts import Coupling, Cylinder, Mimic, Pose, Positive, Tolerance
 from longarm_comp.core.yaml_file import Declared, Misdeclared
@@ -57,8 +57,7 @@ class Joint(Declared):
         default=None, description="the pins of the cylinder that turns a revolute joint"
     )
 
-    @model_validator(mode="after")
-    def _check_keys(self) -> Joint:
+    def check_together(self) -> None:
         given = {"limits_deg": self.limits_deg, "limits_m": self.limits_m}
         key = {"revolute": "limits_deg", "prismatic": "limits_m"}.get(self.type)
         if self.type == "fixed" and self.mimic:
@@ -91,7 +90,6 @@ class Joint(Declared):
                 span = " to ".join(f"{end:.1f}" for end in sorted(ends))
                 allowed = "over the joint's limits within 0 to 180 (there the pins are in line)"
                 raise Misdeclared("cylinder.angle_deg", span, allowed)
-        return self
 
     def _check_step(self, key: str | None) -> None:
         mine = key.replace("limits", "step") if key and not self.mimic else None

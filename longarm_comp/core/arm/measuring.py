@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from longarm_comp.core.arm.parts import Pose, Positive, Vec3
 from longarm_comp.core.yaml_file import RANGES, Declared, Misdeclared
@@ -19,11 +19,9 @@ class CameraPlacement(Declared):
     position_m: Vec3
     optical_axis: Vec3 = (0.0, 1.0, 0.0)
 
-    @model_validator(mode="after")
-    def _check_direction(self) -> CameraPlacement:
+    def check_together(self) -> None:
         if not any(self.optical_axis):
             raise Misdeclared("optical_axis", list(self.optical_axis), "a direction, not zero")
-        return self
 
 
 class Marker(Declared):
@@ -57,11 +55,9 @@ class Inclinometer(Declared):
     sign: tuple[Literal[-1, 1], Literal[-1, 1]] = (1, 1)
     gain: Literal["one", "free"] = Field(default="one", description="free: fitted")
 
-    @model_validator(mode="after")
-    def _check_axes(self) -> Inclinometer:
+    def check_together(self) -> None:
         if self.axes[0] == self.axes[1]:
             raise Misdeclared("axes", list(self.axes), "two that differ of x, y, z")
-        return self
 
 
 Sensors = dict[str, Annotated[CameraSensor | Inclinometer, Field(discriminator="kind")]]

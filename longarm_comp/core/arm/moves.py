@@ -12,20 +12,12 @@ from longarm_comp.core.arm.history import SAME_POSE
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """A motion of the joints to a command.
+    """A motion of the joints to a command."""
 
-    Attributes:
-        q: (n,) joint values of the command (rad, m).
-        run_up: (n,) joints where the last approach begins; None if the direct move is enough.
-        side: (n,) of -1, 0, +1: the side from which each joint arrives; 0: it does not move.
-        doubtful: (n,) bool: joints that may not arrive as wanted: they need a run-up and have no
-            room for it.
-    """
-
-    q: np.ndarray
-    run_up: np.ndarray | None
-    side: np.ndarray
-    doubtful: np.ndarray
+    q: np.ndarray  # (n,) joint values of the command (rad, m)
+    run_up: np.ndarray | None  # (n,) where the last approach begins; None: no run-up is needed
+    side: np.ndarray  # (n,) of -1, 0, +1: the side from which each joint arrives; 0: it stays
+    doubtful: np.ndarray  # (n,) bool: joints that need a run-up and have no room for it
 
     @property
     def points(self) -> np.ndarray:
@@ -34,8 +26,7 @@ class Move:
 
 
 def run_up_lengths(arm: Arm) -> np.ndarray:
-    """Return the (n,) shortest allowed length of a run-up of every joint (rad, m)."""
-    # As a fraction of each joint's range: longer than the play of most joints
+    """Return the (n,) shortest run-up of every joint (rad, m): longer than most joints' play."""
     return 0.06 * (arm.upper - arm.lower)
 
 
@@ -85,11 +76,7 @@ def plan_move(
 
 
 def _room(arm: Arm, q: np.ndarray, sides: np.ndarray | float) -> np.ndarray:
-    """Return the (n,) longest run-up (rad, m) to q that the limits allow from given sides.
-
-    Args:
-        sides: (n,) or one for all: +1 from below, -1 from above.
-    """
+    """Return the (n,) longest run-up (rad, m) to q that the limits allow from given sides (+-1)."""
     lower, upper = arm.bounds
     return np.where(np.greater(sides, 0.0), q - lower, upper - q)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from longarm_comp.core.arm import spatial
 from longarm_comp.core.arm.spatial import Frame, Scalar, rpy_frame
@@ -85,11 +85,9 @@ class Payload(Declared):
     frame: int = Field(ge=0)
     position_m: Vec3 = (0.0, 0.0, 0.0)
 
-    @model_validator(mode="after")
-    def _check_most(self) -> Payload:
+    def check_together(self) -> None:
         if self.most_kg is not None and self.most_kg < self.mass_kg:
             raise Misdeclared("most_kg", self.most_kg, f"at least mass_kg, {self.mass_kg}")
-        return self
 
 
 class Tube(Declared):
@@ -99,11 +97,9 @@ class Tube(Declared):
     od_m: Positive
     id_m: NonNegative = 0.0
 
-    @model_validator(mode="after")
-    def _check_bore(self) -> Tube:
+    def check_together(self) -> None:
         if self.id_m >= self.od_m:
             raise Misdeclared("id_m", self.id_m, f"less than od_m {self.od_m}")
-        return self
 
     def second_moments(self) -> tuple[float, float, float]:
         """Return second moments about the two transverse axes and the torsion constant, m^4."""
@@ -119,11 +115,9 @@ class Rect(Declared):
     height_m: Positive
     wall_m: Positive | None = Field(default=None, description="box wall; solid if absent")
 
-    @model_validator(mode="after")
-    def _check_wall(self) -> Rect:
+    def check_together(self) -> None:
         if self.wall_m is not None and 2 * self.wall_m >= min(self.width_m, self.height_m):
             raise Misdeclared("wall_m", self.wall_m, "less than half of width_m and of height_m")
-        return self
 
     def second_moments(self) -> tuple[float, float, float]:
         """Return second moments about the two transverse axes and the torsion constant, m^4.
@@ -165,8 +159,7 @@ class Beam(Declared):
     mass: Literal["uniform"] = "uniform"
     body_length_m: Positive | None = None
 
-    @model_validator(mode="after")
-    def _check_stiffness(self) -> Beam:
+    def check_together(self) -> None:
         if (self.section is None) == (self.EI_nm2 is None):
             state = "missing" if self.section is None else "given beside EI_nm2"
             raise Misdeclared("section", state, "either section with E_pa, or EI_nm2 with GJ_nm2")
@@ -184,7 +177,6 @@ class Beam(Declared):
         if not all(lowest <= value <= highest for value in self.stiffness):
             made = ", ".join(f"{value:.3g}" for value in self.stiffness)
             raise Misdeclared("section", made, f"EI and GJ of {lowest:g} to {highest:g} N m^2")
-        return self
 
     @cached_property
     def stiffness(self) -> tuple[float, float, float]:
@@ -237,11 +229,9 @@ class Box(Declared):
     min_m: Vec3
     max_m: Vec3
 
-    @model_validator(mode="after")
-    def _check_corners(self) -> Box:
+    def check_together(self) -> None:
         if any(low >= high for low, high in zip(self.min_m, self.max_m, strict=True)):
             raise Misdeclared("max_m", list(self.max_m), f"above min_m, {list(self.min_m)}")
-        return self
 
     @property
     def thickness(self) -> float:

@@ -10,10 +10,11 @@ first moment S of this mass: ``force = m g`` and ``moment about p = (S - m p) x 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TypeVar, cast
+from typing import NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -35,22 +36,16 @@ Only the twist at the placement may be large.
 
 @dataclass(frozen=True)
 class Element:
-    """A piece of a beam that ends at a station.
-
-    Attributes:
-        axis: the frame axis along the beam: 0 (x, role a) or 2 (z, role d).
-        share: its length as a fraction of the beam's length.
-    """
+    """A piece of a beam that ends at a station."""
 
     beam: Beam
     station: int
-    axis: int
-    share: float
+    axis: int  # the frame axis along the beam: 0 (x, role a) or 2 (z, role d)
+    share: float  # its length as a fraction of the beam's length
     covers: tuple[Beam, ...] = ()  # later beams whose sliding bodies may lie inside this element
 
 
-@dataclass(frozen=True)
-class _ChainRow:
+class _ChainRow(NamedTuple):
     """Stations of one row: its bearing (after Rz, before Tz), its frame, and its beam elements."""
 
     bearing: int
@@ -59,9 +54,8 @@ class _ChainRow:
     elements_d: tuple[Element, ...]
 
 
-@dataclass(frozen=True)
-class Lumped:
-    """A mass at a point of a station (position in its frame, m)."""
+class Lumped(NamedTuple):
+    """A mass (kg) at a point of a station (position in its frame, m)."""
 
     station: int
     mass: Scalar
@@ -74,34 +68,34 @@ class Chain:
     def __init__(self, arm: Arm, elements_per_beam: int = 2) -> None:
         self.arm, self.cuts = arm, elements_per_beam
         self.rows: list[_ChainRow] = []
-        count = 2
+        numbers = itertools.count(2)
+
+        def cut(row: int, role: str, axis: int) -> Iterator[Element]:
+            beams = [b for b in arm.links if b.row == row and b.role == role]
+            for k, beam in enumerate(beams):
+                later = tuple(b for b in beams[k + 1 :] if b.mass_kg > 0 and b.body_length_m)
+                for _ in range(elements_per_beam):
+                    yield Element(beam, next(numbers), axis, 1 / elements_per_beam, later)
+
         for joint in arm.joints:
-            made: dict[str, tuple[Element, ...]] = {}
-            bearing = 0
-            for role, axis in (("a", 0), ("d", 2)):
-                if role == "d":
-                    bearing, count = count, count + 1
-                beams = [b for b in arm.links if b.row == joint.id and b.role == role]
-                elements = []
-                for k, beam in enumerate(beams):
-                    later = tuple(
-                        b for b in beams[k + 1 :] if b.mass_kg > 0 and b.body_length_m is not None
-                    )
-                    for _ in range(elements_per_beam):
-                        elements.append(Element(beam, count, axis, 1 / elements_per_beam, later))
-                        count += 1
-                made[role] = tuple(elements)
-            self.rows.append(_ChainRow(bearing, count, made["a"], made["d"]))
-            count += 1
+            along_x = tuple(cut(joint.id, "a", 0))
+            bearing = next(numbers)
+            along_z = tuple(cut(joint.id, "d", 2))
+            self.rows.append(_ChainRow(bearing, next(numbers), along_x, along_z))
         carriers = {"": arm.tip.frame, **{name: m.frame for name, m in arm.markers.items()}}
-        self.spots = {name: count + k for k, name in enumerate(carriers)}
+        self.spots = {name: next(numbers) for name in carriers}
         self.carriers = {self.spots[name]: self.frame_station(f) for name, f in carriers.items()}
-        self.stations = count + len(carriers)
+        self.stations = next(numbers)
         self.mixing, self.offset = arm.mixing
         self._coupled = {
             joint: tuple((row, float(w)) for row, w in enumerate(weights, 1) if w != 0.0)
             for joint, weights in zip(arm.commanded, self.mixing.T, strict=True)
         }
+
+    @property
+    def elements(self) -> Iterator[Element]:
+        """The elements of all beams, from the base to the tip."""
+        return (e for row in self.rows for e in row.elements_a + row.elements_d)
 
     def frame_station(self, row: int) -> int:
         """Return the station of row `row`'s frame; row 0 is the base."""
@@ -119,10 +113,9 @@ class Chain:
         return values
 
     def coupled_rows(self, joint: int) -> tuple[tuple[int, float], ...]:
-        """Return the rows that a joint moves, each with its motion per unit of the joint.
+        """Return the rows that a joint (row id) moves, each with its motion per unit of the joint.
 
-        Args:
-            joint: row id. If it is not a commanded joint, the result is its own row alone, with 1.
+        For a joint that is not commanded it is its own row alone, with 1.
         """
         return self._coupled.get(joint, ((joint, 1.0),))
 
@@ -152,9 +145,8 @@ class Chain:
         """
         frames, _ = self.place(tuple(self.arm.mid.tolist()), {})
         at, length, off = np.array(frames[BASE].p), 0.0, []
-        before = [frames[BASE], *(frames[row.frame] for row in self.rows)]
-        for frame in before:
-            origin, axis = np.array(frame.p), np.array(frame.a)
+        for station in (BASE, *(row.frame for row in self.rows)):
+            origin, axis = np.array(frames[station].p), np.array(frames[station].a)
             along = float((at - origin) @ axis)
             length += float(np.linalg.norm(origin + along * axis - at))
             at = origin + along * axis
@@ -187,7 +179,7 @@ class Chain:
             return frame
 
         def run(frame: Frame, elements: tuple[Element, ...], axis: int, size: Scalar) -> Frame:
-            sign = -1.0 if type(size) is float and size < 0 else 1.0
+            sign = sign_of(size)
             fixed = sum(e.share * e.beam.length_m for e in elements if e.beam.length_m != "rest")
             left = size
             for e in elements:
@@ -223,25 +215,16 @@ class Chain:
 
 @dataclass(frozen=True)
 class Posture:
-    """The arm at given joint values, or at N of them (scalars are then (N,) arrays).
-
-    Attributes:
-        q: commanded joints, n scalars (rad, m).
-        frames: every station's frame in the base frame (m).
-        lengths: signed length of the element that ends at each station (m); 0 at others.
-        gravity: in the base frame (m/s^2).
-        twists: by station, as applied in `frames`.
-        extra: masses that effects add.
-    """
+    """The arm at given joint values, or at N of them (scalars are then (N,) arrays)."""
 
     chain: Chain
-    q: tuple[Scalar, ...]
+    q: tuple[Scalar, ...]  # n commanded joints (rad, m)
     context: Context
-    frames: list[Frame]
-    lengths: list[Scalar]
-    gravity: Vec
-    twists: Twists = field(default_factory=dict)
-    extra: tuple[Lumped, ...] = ()
+    frames: list[Frame]  # every station's in the base frame (m)
+    lengths: list[Scalar]  # signed, of the element that ends at each station (m); 0 at others
+    gravity: Vec  # in the base frame (m/s^2)
+    twists: Twists = field(default_factory=dict)  # by station, as applied in `frames`
+    extra: tuple[Lumped, ...] = ()  # masses that effects add
     _made: dict[tuple[object, ...], object] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -307,16 +290,11 @@ class Posture:
                     behind = spatial.maximum(behind, 0.0)
                     if type(behind) is float and behind == 0.0:
                         continue
-                    at = [0.0, 0.0, 0.0]
-                    at[elements[0].axis] = -0.5 * behind  # type: ignore[call-overload]
-                    density = beam.mass_kg / beam.body_length_m
-                    yield Lumped(station, density * behind, (at[0], at[1], at[2]))
+                    x, z = (-0.5 * behind if elements[0].axis == k else 0.0 for k in (0, 2))
+                    yield Lumped(station, beam.mass_kg / beam.body_length_m * behind, (x, 0.0, z))
 
     def _measure_beyond(self, elements: tuple[Element, ...], k: int, beam: Beam) -> Scalar:
-        """Return the length (m) from the far end of element k to the end of `beam`.
-
-        With k = -1 it counts from the start of the row's first beam.
-        """
+        """Return the length (m) from the far end of element k (-1: the start) to that of `beam`."""
         last = max(j for j, e in enumerate(elements) if e.beam is beam)
         beyond: Scalar = 0.0
         for e in elements[k + 1 : last + 1]:
@@ -336,7 +314,7 @@ class Posture:
         moment: Vec = ZERO
         masses: list[Scalar] = [0.0] * self.chain.stations
         moments: list[Vec] = [ZERO] * self.chain.stations
-        axes = {e.station: e.axis for r in self.chain.rows for e in r.elements_a + r.elements_d}
+        axes = {e.station: e.axis for e in self.chain.elements}
         for station in range(self.chain.stations - 1, -1, -1):
             frame = self.frames[station]
             for lump in own.get(station, ()):
@@ -346,8 +324,7 @@ class Posture:
             masses[station], moments[station] = mass, moment
             for density, length in self.line_loads.get(station, ()):
                 m = density * length
-                signed = self.lengths[station]
-                sign = -1.0 if type(signed) is float and signed < 0 else 1.0
+                sign = sign_of(self.lengths[station])
                 centre = frame.along(axes[station], -0.5 * sign * length).p
                 mass = mass + m
                 moment = spatial.add(moment, spatial.scale(m, centre))
@@ -368,10 +345,7 @@ class Posture:
         return self._loads_at(station)[1]
 
     def moment(self, station: int) -> Vec:
-        """Return the moment (N m) of all weight carried at a station.
-
-        It is about the station's origin and in its axes.
-        """
+        """Return the moment (N m) of that weight, about the station's origin and in its axes."""
         return self._loads_at(station)[2]
 
     def _loads_at(self, station: int) -> tuple[Vec, Vec, Vec]:
@@ -388,17 +362,17 @@ class Posture:
         return self.chain.frame_station(row)
 
     def spot(self, marker: str = "") -> int:
-        """Return the station at which the offset of the tip, or of a marker, acts.
-
-        It lies at the frame that carries it, and carries no mass.
-        """
+        """Return the station of the tip's or a marker's offset: at its frame, without mass."""
         return self.chain.spots[marker]
 
 
-def compute_loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
-    """Compute gravity (m/s^2), weight (N) and moment (N m) of the carried mass in a frame's axes.
+def sign_of(length: Scalar) -> float:
+    """Return -1.0 for a negative length of an element that is constant, else 1.0."""
+    return -1.0 if type(length) is float and length < 0 else 1.0
 
-    The moment is about the frame's origin.
+
+def compute_loads(frame: Frame, mass: Scalar, first: Vec, gravity: Vec) -> tuple[Vec, Vec, Vec]:
+    """Compute gravity (m/s^2), weight (N) and moment (N m) in a frame's axes, about its origin.
 
     Args:
         mass: carried mass, kg.

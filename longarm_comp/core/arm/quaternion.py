@@ -20,19 +20,6 @@ def is_unit(quaternion: np.ndarray) -> bool:
     return math.isfinite(length) and abs(length - 1.0) <= LENGTH_TOLERANCE
 
 
-def compute_rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Return the rotation matrix (3, 3) of a quaternion x, y, z, w, which is normalised first."""
-    q = np.asarray(quaternion, dtype=float)
-    x, y, z, w = (q / np.linalg.norm(q)).tolist()
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def from_rotation(matrix: np.ndarray) -> np.ndarray:
     """Return the quaternion (4,), x, y, z, w with w >= 0, of a rotation matrix (3, 3)."""
     m = np.asarray(matrix, dtype=float)
@@ -59,9 +46,15 @@ def rotation_vector(quaternion: np.ndarray) -> np.ndarray:
 
 
 def compute_pose(position: np.ndarray, quaternion: np.ndarray) -> np.ndarray:
-    """Return the homogeneous matrix (4, 4) of a position (m) and a unit quaternion (x, y, z, w)."""
+    """Return the matrix (4, 4) of a position (m) and a quaternion x, y, z, w of any length."""
+    x, y, z, w = (np.asarray(quaternion, float) / np.linalg.norm(quaternion)).tolist()
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = compute_rotation(quaternion), position
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = position
     return matrix
 
 

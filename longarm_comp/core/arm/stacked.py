@@ -47,17 +47,9 @@ def _zero(x: Scalar) -> bool:
 
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
-    """Split the keys of items into lists whose stacked arrays fit into the processor's cache.
-
-    Args:
-        size: numbers in an array of one item.
-    """
-    each, count = list(keys), max(1, _NEAR // size)
+    """Split keys of items into lists whose stacked arrays, each of `size`, fit into the cache."""
+    each, count = list(keys), max(1, 32768 // size)
     return (each[n : n + count] for n in range(0, len(each), count))
-
-
-_NEAR = 32768
-"""Largest number of elements of a stacked array, so that it fits into the processor's cache."""
 
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:

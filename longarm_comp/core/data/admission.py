@@ -10,14 +10,17 @@ import dataclasses
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import INCLINATION
+from longarm_comp.core.arm.measuring import CameraSensor
 from longarm_comp.core.arm.spatial import roll_pitch_yaw
-from longarm_comp.core.data.belonging import find_mistake, undo_mistakes
+from longarm_comp.core.data.belonging import find_mistake, sample_rows, undo_mistakes
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.registration import median_distance, median_spread
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.touched import check_touches
@@ -30,17 +33,9 @@ FEW_POSES = 4
 """Smallest number of distinct poses: three points place a frame, and a fourth one checks it."""
 
 
-@dataclass(frozen=True)
-class AdmissionFinding:
-    """A limitation of an admitted session.
+class AdmissionFinding(NamedTuple):
+    """A limitation of an admitted session: the column or input, and a text about it."""
 
-    Attributes:
-        check: name of the check.
-        field: the column or input that it concerns.
-        message: its text for people.
-    """
-
-    check: str
     field: str
     message: str
 
@@ -79,30 +74,28 @@ def admit(
     """
     findings: list[AdmissionFinding] = []
     session = _with_readings(session, findings)
-    model = model or Model(arm)
     _check_names(session, arm)
     for name, values in session.columns.items():
         check_circumstance(arm, name, values, session.source)
     findings += _check_joints(session, arm)
     _check_loads(session, arm)
     _check_groups(session)
-    findings += (AdmissionFinding("touch", *found) for found in check_touches(session, arm))
+    findings += (AdmissionFinding(*found) for found in check_touches(session, arm))
     findings += _check_blanks(session)
-    for j in np.flatnonzero(np.ptp(session.q, axis=0) < arm.telling):
-        text = "never moved: its effects do not show"
-        findings.append(AdmissionFinding("constant", f"q{j + 1}", text))
-    for name, values in session.columns.items():
-        if len(session) > 1 and np.ptp(values) == 0:
-            text = "never changed: its effects do not show"
-            findings.append(AdmissionFinding("constant", name, text))
+    constant = {f"q{j + 1}": "moved" for j in np.flatnonzero(np.ptp(session.q, 0) < arm.telling)}
+    for name, values in session.columns.items() if len(session) > 1 else ():
+        if np.ptp(values) == 0:
+            constant[name] = "changed"
+    for name, done in constant.items():
+        findings.append(AdmissionFinding(name, f"never {done}: its effects do not show"))
     findings += _check_copies(session)
     poses = len(np.unique(session.take(session.seen).pose_id))
     if poses < min_poses:
         field = "rows" if len(session) < 2 else "poses with a marker"
-        allowed = f"at least {min_poses} distinct poses"
-        raise session.error(field, poses, allowed)
+        raise session.error(field, poses, f"at least {min_poses} distinct poses")
     located = session.take(session.has_position)
     if len(located):
+        model = model or Model(arm)
         predicted = model.measured(located.q, located.context())
         _check_spread(located, arm, predicted)
         findings += _check_belonging(session, model, judge)
@@ -114,22 +107,21 @@ def admit(
 
 
 def _with_readings(session: Session, findings: list[AdmissionFinding]) -> Session:
-    """Return the rows in which every inclinometer was read, and add findings about the others.
-
-    An inclinometer that was not read in most of the rows is left out instead of these rows.
-    """
+    """Return the rows in which every inclinometer was read, and add findings about the others."""
+    kept = dict(session.columns)
     for name, values in session.columns.items():
-        blank = np.isnan(values)
-        if blank.mean() > 0.5:  # the inclinometer is left out instead of the rows
-            rest = {k: v for k, v in session.columns.items() if k != name}
-            session = dataclasses.replace(session, columns=rest)
-            findings.append(AdmissionFinding("blanks", name, f"left out, {blank.mean():.0%} blank"))
-    names = [name for name, values in session.columns.items() if np.isnan(values).any()]
+        share = np.isnan(values).mean()
+        if share > 0.5:  # the inclinometer is left out instead of the rows
+            del kept[name]
+            findings.append(AdmissionFinding(name, f"left out, {share:.0%} blank"))
+    if len(kept) < len(session.columns):
+        session = dataclasses.replace(session, columns=kept)
+    names = [name for name, values in kept.items() if np.isnan(values).any()]
     if not names:
         return session
-    blank = np.any([np.isnan(session.columns[name]) for name in names], axis=0)
+    blank = np.any([np.isnan(kept[name]) for name in names], axis=0)
     text = f"{blank.sum()} rows left out in which it is blank"
-    findings.append(AdmissionFinding("blanks", ", ".join(names), text))
+    findings.append(AdmissionFinding(", ".join(names), text))
     return session.take(~blank)
 
 
@@ -141,18 +133,16 @@ def _check_names(session: Session, arm: Arm) -> None:
     if session.n != arm.n:
         allowed = f"{arm.n} commanded joints of arm {arm.name}"
         raise session.error("joints", session.n, allowed)
-    markers, anchors = list(arm.markers), [*arm.anchors, ""]
-    for label, declared in (("marker", markers), ("anchor", anchors)):
+    for label, declared in (("marker", arm.markers), ("anchor", {**arm.anchors, "": None})):
         for name in np.unique(session.labels.get(label, np.zeros(0, dtype=str))):
             if any(declared) and name not in declared:
                 raise session.error(label, str(name), f"one of {', '.join(filter(None, declared))}")
-    if "ray" in session.readings:
-        seen = np.isfinite(session.readings["ray"]).all(axis=1)
-        for sensor in np.unique(session.labels["sensor"][seen]):
-            if sensor not in arm.sensors:
-                known = ", ".join(arm.sensors) or "none"
-                allowed = f"a camera of arm.yaml's sensors (there are: {known})"
-                raise session.error("sensor", str(sensor), allowed)
+    cameras = [name for name, each in arm.sensors.items() if isinstance(each, CameraSensor)]
+    for sensor in session.names_of(KINDS["ray"]):
+        if sensor not in cameras:
+            known = ", ".join(cameras) or "none"
+            allowed = f"a camera of arm.yaml's sensors (there are: {known})"
+            raise session.error("sensor", sensor, allowed)
     for mass in arm.point_masses:
         for column in mass.position_columns or ():
             if column not in session.columns:
@@ -166,12 +156,11 @@ def _check_names(session: Session, arm: Arm) -> None:
 
 def _check_loads(session: Session, arm: Arm) -> None:
     """Refuse loads under which the declared beams would bend by more than the arm's own reach."""
-    rows = np.unique(np.linspace(0, len(session) - 1, 100).astype(int))
     if not arm.links:
         return
     declared = arm.payload.mass_kg if arm.payload else 0.0
     loads = session.columns.get("payload_kg", np.full(len(session), declared))
-    some = session.take(np.union1d(rows, [np.argmax(loads)]))
+    some = session.take(np.union1d(sample_rows(session), [np.argmax(loads)]))
     rigid = Model(arm).tip(some.q, some.context())
     with np.errstate(all="ignore"):
         sag = np.linalg.norm(declared_model(arm).tip(some.q, some.context()) - rigid, axis=1)
@@ -186,22 +175,23 @@ def _check_groups(session: Session) -> None:
     A group holds the rows from one place of the base. Three points determine this place.
     """
     groups, markers = session.texts("group"), session.texts("marker")
+    name, values = "index", session.index
+    if session.t_s is not None:
+        name, values = "t_s", session.t_s  # the index only names a row
     for group in np.unique(groups):
         rows = np.flatnonzero(groups == group)
-        name, values = "index", session.index
-        if session.t_s is not None:
-            name, values = "t_s", session.t_s  # the index only names a row
         back = np.flatnonzero(np.diff(values[rows]) < 0)
         if len(back):
             at = rows[back[0] + 1]
             said = f"{values[at]:g} after {values[rows[back[0]]]:g}"
             allowed = "rows in the order of recording: what a joint did before is read from it"
             raise session.error(f"{name} of row {at + 1}", said, allowed)
-        keys = list(zip(session.index[rows], markers[rows], strict=True))
-        if len(set(keys)) < len(keys):
-            twice = next(k for k, key in enumerate(keys) if key in keys[:k])
-            field = f"index of row {rows[twice] + 1}"
-            raise session.error(field, int(keys[twice][0]), "each index once")
+        seen = set()
+        for row in rows:
+            key = session.index[row], markers[row]
+            if key in seen:
+                raise session.error(f"index of row {row + 1}", int(key[0]), "each index once")
+            seen.add(key)
     if "group" in session.labels:
         for group, count in Counter(groups[session.has_position].tolist()).items():
             if count < 3:
@@ -225,11 +215,18 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
             continue
         row, j = np.unravel_index(np.argmax(np.where(far, beyond / reach, 0)), q.shape)
         limits = f"{arm.lower[j]:.6g} to {arm.upper[j]:.6g} of {arm.joint_names[j]}"
-        scaled, slack = q[:, j] * factor, 0.05 * reach[j]
-        within = (scaled > arm.lower[j] - slack) & (scaled < arm.upper[j] + slack)
+        low, high = arm.lower - 0.05 * reach, arm.upper + 0.05 * reach
+        exchanged = (
+            what
+            for what, undone in undo_mistakes(arm, session)
+            if what.endswith(("negated", "swapped"))
+            and ((undone.q > low) & (undone.q < high)).all()
+        )
+        scaled = q[:, j] * factor
+        within = (scaled > low[j]) & (scaled < high[j])
         # five times a joint's largest value, and more, are another unit
         many = abs(q[row, j]) > 5.0 * max(abs(arm.lower[j]), abs(arm.upper[j]))
-        if other := _find_exchange(arm, session):
+        if other := next(exchanged, ""):
             limits = f"{limits} ({other})"
         elif many and within.mean() > 0.95:
             # joints that all stay within a turn may well be in radians
@@ -239,21 +236,7 @@ def _check_joints(session: Session, arm: Arm) -> Iterator[AdmissionFinding]:
         raise session.error(f"row {row + 1}, q{j + 1}", float(q[row, j]), limits)
     for j in np.flatnonzero((beyond > 1e-6).any(0) & ~endless):
         count, worst = int((beyond[:, j] > 1e-6).sum()), beyond[:, j].max()
-        text = f"{count} rows up to {worst:.3g} beyond its limits"
-        yield AdmissionFinding("limits", f"q{j + 1}", text)
-
-
-def _find_exchange(arm: Arm, session: Session) -> str:
-    """Return the mistake of sign or order of joints that explains values outside the limits.
-
-    Without it all joints lie within their limits. Empty if there is no such mistake.
-    """
-    slack = 0.05 * (arm.upper - arm.lower)
-    for what, undone in undo_mistakes(arm, session):
-        inside = (undone.q > arm.lower - slack) & (undone.q < arm.upper + slack)
-        if what.endswith(("negated", "swapped")) and inside.all():
-            return what
-    return ""
+        yield AdmissionFinding(f"q{j + 1}", f"{count} rows up to {worst:.3g} beyond its limits")
 
 
 def _check_blanks(session: Session) -> Iterator[AdmissionFinding]:
@@ -263,16 +246,15 @@ def _check_blanks(session: Session) -> Iterator[AdmissionFinding]:
         raise session.error(field, f"blank in all {lost} rows", "measured tip positions (m)")
     blank = np.isnan(session.xyz).all(axis=0)
     for axis in np.array(["x", "y", "z"])[blank] if not blank.all() else ():
-        yield AdmissionFinding("blanks", str(axis), "measured in no row")
+        yield AdmissionFinding(str(axis), "measured in no row")
     if not session.placed.any():
         text = "no row measures the tip: tip and base stay as declared"
-        yield AdmissionFinding("blanks", "x, y, z", text)
+        yield AdmissionFinding("x, y, z", text)
     if lost:
-        share = lost / len(session)
         why = Counter(session.lost.values())
         causes = ", ".join(f"{cause} in {count}" for cause, count in why.most_common())
-        text = f"nothing measured in {lost} rows ({share:.0%})"
-        yield AdmissionFinding("blanks", field, f"{text}: {causes}" if causes else text)
+        text = f"nothing measured in {lost} rows ({lost / len(session):.0%})"
+        yield AdmissionFinding(field, f"{text}: {causes}" if causes else text)
 
 
 def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
@@ -291,11 +273,10 @@ def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
         value = f"{copies} of {len(seen)} are copies"
         raise session.error("rows", value, "measured rows, once each")
     if copies:
-        text = f"{copies} repeat pose and measurement to the last digit"
-        yield AdmissionFinding("duplicates", "rows", text)
+        yield AdmissionFinding("rows", f"{copies} repeat pose and measurement to the last digit")
     if frozen:
         text = f"{frozen} rows repeat another pose's measurement exactly"
-        yield AdmissionFinding("duplicates", "x, y, z", text)
+        yield AdmissionFinding("x, y, z", text)
 
 
 # ------------------------------------------------------------------ against the prediction
@@ -322,12 +303,9 @@ def _check_spread(session: Session, arm: Arm, predicted: np.ndarray) -> None:
 def _check_frame(
     session: Session, arm: Arm, predicted: np.ndarray, group: str
 ) -> Iterator[AdmissionFinding]:
-    """Compare the positions of one frame with the predicted ones (N, 3), m.
+    """Compare the positions of one frame with the predicted ones (N, 3), m; refuse mirrored axes.
 
     Yields findings about the axes and place of the frame, and about outliers.
-
-    Raises:
-        InputError: the axes are mirrored.
     """
     measured = session.xyz
     field = "x, y, z" + (f" of group {group}" if group else "")
@@ -353,29 +331,28 @@ def _check_frame(
         rpy = ", ".join(f"{v:.1f}" for v in np.degrees(roll_pitch_yaw(turn @ base[:3, :3])))
         text = f"turned by {np.degrees(angle):.0f} deg against the declared arm{like}"
         text = f"{text}; as base: {{xyz_m: [{xyz}], rpy_deg: [{rpy}]}}"
-        yield AdmissionFinding("frame", field, text)
+        yield AdmissionFinding(field, text)
     elif away > 0.3 * median_spread(predicted):
-        yield AdmissionFinding("frame", field, f"{away:.3f} m away from where the declared arm is")
+        yield AdmissionFinding(field, f"{away:.3f} m away from where the declared arm is")
     distance = np.linalg.norm(residual, axis=1)
     far = distance > max(8.0 * 1.4826 * misfit, 1e-9)  # eight robust standard deviations
     if far.any():
         worst = 1e3 * distance.max()
         text = f"{far.sum()} gross outliers ({far.mean():.1%}), the worst {worst:.0f} mm"
-        yield AdmissionFinding("outliers", field, text)
+        yield AdmissionFinding(field, text)
 
 
 def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[AdmissionFinding]:
     """Refuse rows that do not belong to the arm at any placement, and name the likely mistake.
 
-    Raises:
-        InputError: the rows do not belong to the arm; with `judge` this is a finding instead.
+    With `judge` this is a finding instead.
     """
     belief = find_mistake(model, session)
     if belief is None:
         return
     for j, moved in belief.signs:
         text = f"its sign does not show: negated it moves the tip by {1e3 * moved:.2g} mm only"
-        yield AdmissionFinding("sign", f"q{j + 1}", text)
+        yield AdmissionFinding(f"q{j + 1}", text)
     if belief.belong:
         return
     field, value = "rows", f"{1e3 * belief.misfit:.3g} mm off the arm, wherever it stands"
@@ -387,7 +364,7 @@ def _check_belonging(session: Session, model: Model, judge: bool) -> Iterator[Ad
         value += ", as if shuffled"
     if not judge:
         raise session.error(field, value, f"rows of arm {model.arm.name}; nothing was changed")
-    yield AdmissionFinding("belonging", field, value)
+    yield AdmissionFinding(field, value)
 
 
 def _nearest_axes(turn: np.ndarray) -> tuple[np.ndarray, str]:

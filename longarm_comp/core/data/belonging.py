@@ -2,10 +2,9 @@
 
 The model's arm is registered to the sightings (`registration`) twice: with the rows as they are,
 and with each common mistake undone.  A mistake that explains much of the misfit is reported, but
-not repaired.  Distances are limited, so that single gross errors do not dominate; a mistake in one
-joint may spoil only the few rows in which it moves.  Then every mistake is tried on the rows that
-are far off the others, with the arm placed by the others.  Undoing a mistake does not correct gross
-errors.
+not repaired.  Distances are limited, so that single gross errors do not dominate.  A mistake in one
+joint may spoil only the few rows in which it moves.  So every mistake is also tried on the rows far
+off the others, with the arm placed by the others.
 """
 
 from __future__ import annotations
@@ -34,15 +33,10 @@ _SUSPECT_SHARE = 0.015
 The errors of an uncalibrated arm are smaller, those of a mistake larger.
 """
 _STRANGE_SHARE = 0.25
-"""Misfit, over the spread of the sightings, from which on rows are not this arm's.
-
-The distance of a single row is limited to this too.
+"""Misfit over the spread from which on rows are not this arm's; a row's distance is limited to it.
 """
 _TELLING_SHARE = 0.7
-"""A mistake is reported if undoing it leaves less than this fraction of the misfit.
-
-That is half of its square.
-"""
+"""A mistake is reported if undoing it leaves less than this of the misfit: half of its square."""
 _ALIKE_RATIO = 1.02
 """Largest ratio of misfits at which two mistakes count as equal; the first one is reported."""
 _STRAY_RATIO, MOST_STRAYS = 8.0, 0.3
@@ -53,8 +47,6 @@ median of the others still fits.
 """
 SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
 """Angles (rad) of the tip's axes that correspond to `_SUSPECT_SHARE` and `_STRANGE_SHARE`."""
-_TRIED_ROWS = 100
-"""Number of rows, spread over the session, on which the mistakes are tried."""
 
 
 @dataclass(frozen=True)
@@ -66,12 +58,7 @@ class _Belief:
     strays: SetAside  # rows that are `_STRAY_RATIO` times farther off than the closest quarter
     mistake: str = ""  # the mistake that was found, in words; empty if none
     fall: str = ""  # the errors with the mistake and without it, in words
-    signs: tuple[tuple[int, float], ...] = ()
-    """Joints (0-based) whose sign the rows do not show.
-
-    Each comes with the RMS distance (m) by which the tip moves if the joint is negated and base and
-    tip are placed anew.
-    """
+    signs: tuple[tuple[int, float], ...] = ()  # as returned by `_find_unknown_signs`
 
     @property
     def belong(self) -> bool:
@@ -104,31 +91,30 @@ def find_mistake(model: Model, session: Session) -> _Belief | None:
     spread = median_spread(seen.xyz)
     least = max(_STRAY_RATIO * float(np.quantile(found.distance, 0.25)), _SUSPECT_SHARE * spread)
     belief = _Belief(found.misfit, spread, SetAside.of(seen, found.distance > least))
-    suspect, fall = _mean_distance(found, spread) >= _SUSPECT_SHARE * spread, ""
-    names: list[str] = []
-    if suspect:
+    mistake, explained = None, False
+    if _mean_distance(found, spread) >= _SUSPECT_SHARE * spread:
         names, undone = _find_mistakes(model, session, _split_at_shift(session, found), spread)
         left = register(Sightings.of(model, undone)).distance.mean()
         fall = f"{1e3 * found.distance.mean():.3g} -> {1e3 * left:.3g} mm"
         if left > _SUSPECT_SHARE * spread:
             fall += ", so more is wrong, or it is something else"
-        elif names:
-            return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
-    part = None
-    if len(belief.strays.rows) >= FEW:
-        part = _find_mistake_in_part(model, session, found, least)
-    if part is not None:
-        return dataclasses.replace(belief, mistake=part[0], fall=part[1])
-    if suspect:
-        return dataclasses.replace(belief, mistake=" and ".join(names), fall=fall)
-    axes = _find_mistake_of_axes(model, session)
-    if axes is not None:
-        return dataclasses.replace(belief, mistake=axes[0], fall=axes[1])
+        else:
+            explained = bool(names)
+        mistake = " and ".join(names), fall
+    if not explained and len(belief.strays.rows) >= FEW:
+        mistake = _find_mistake_in_part(model, session, found, least) or mistake
+    mistake = mistake or _find_mistake_of_axes(model, session)
+    if mistake is not None:
+        return dataclasses.replace(belief, mistake=mistake[0], fall=mistake[1])
     if (session.has_position & session.has_orientation).any():  # axes of the tip show every sign
         return belief
-    some = np.unique(np.linspace(0, len(seen) - 1, _TRIED_ROWS).astype(int))
-    signs = _find_unknown_signs(model, seen.take(some), found.misfit)
+    signs = _find_unknown_signs(model, seen.take(sample_rows(seen)), found.misfit)
     return dataclasses.replace(belief, signs=signs)
+
+
+def sample_rows(session: Session) -> np.ndarray:
+    """Return the numbers of at most 100 rows, evenly over the session."""
+    return np.unique(np.linspace(0, len(session) - 1, 100).astype(int))
 
 
 def _mean_distance(found: Registration, spread: float) -> float:
@@ -139,21 +125,15 @@ def _mean_distance(found: Registration, spread: float) -> float:
 def _find_mistakes(
     model: Model, session: Session, parts: tuple[str, Session], spread: float
 ) -> tuple[list[str], Session]:
-    """Find the mistakes that explain much of the misfit, the one that explains most first.
+    """Find the mistakes that explain much of the misfit, and return the session without them.
 
-    A further mistake is searched for while the remaining misfit is suspect.
-
-    Args:
-        parts: the text and the session of `_split_at_shift`, which count as one more mistake.
-        spread: of the sightings, m.
-
-    Returns:
-        The mistakes, and the session with all of them undone.
+    The one that explains most comes first; a further one is searched for while the remaining misfit
+    is suspect.  `parts`, of `_split_at_shift`, counts as one more mistake.
     """
-    rows = np.unique(np.linspace(0, len(session) - 1, _TRIED_ROWS).astype(int))
 
     def misfit(tried: Session) -> float:
-        return _mean_distance(register(Sightings.of(model, tried.take(rows))), spread)
+        some = tried.take(sample_rows(tried))
+        return _mean_distance(register(Sightings.of(model, some)), spread)
 
     names: list[str] = []
     own = misfit(session)
@@ -174,11 +154,8 @@ def _find_mistake_in_part(
     """Find the mistake that explains most of the rows that are farther off than `least` (m).
 
     Base and markers stay where `found` places them.  A random error decreases to a fraction s of
-    itself with the probability s^3; those of all these rows are combined (Fisher's method).
-
-    Returns:
-        The mistake, and the rows' median distance with and without it, in words; None if no
-        mistake is significant and explains more than half of the rows.
+    itself with the probability s^3; those of all these rows are combined (Fisher's method).  The
+    result is None if no mistake is significant and explains more than half of the rows.
     """
 
     def distance(rows: Session) -> np.ndarray:
@@ -207,10 +184,7 @@ def _split_at_shift(session: Session, found: Registration) -> tuple[str, Session
     """Split the rows, in their order, in two parts that look measured from two bases.
 
     The split is where the cumulative sum of the residuals, limited in size and less their median,
-    deviates most (Page 1954, Biometrika 41).
-
-    Returns:
-        The text of this mistake, and the session with the later rows in a group of their own.
+    deviates most (Page 1954, Biometrika 41).  The later rows get a group of their own.
     """
     seen = np.flatnonzero(session.has_position)
     away = found.residual - np.median(found.residual, axis=0)
@@ -248,9 +222,7 @@ def turn_error(model: Model, rows: Session) -> Callable[[np.ndarray], float]:
 def _find_mistake_of_axes(model: Model, session: Session) -> tuple[str, str] | None:
     """Find the mistake in the format of the measured orientations.
 
-    Returns:
-        The mistake, and the error with and without it, in words; None if the orientations fit, or
-        fewer than `MIN_POSES` poses have both an orientation and a position.
+    None if they fit, or fewer than `MIN_POSES` poses have both an orientation and a position.
     """
     rows = session.take(session.has_position & session.has_orientation)
     if len(np.unique(rows.pose_id)) < MIN_POSES:
@@ -279,8 +251,8 @@ def _find_unknown_signs(
 ) -> tuple[tuple[int, float], ...]:
     """Return the moving joints (0-based) whose sign the rows do not show.
 
-    Each comes with an RMS distance (m): by how much the predicted tips change if the joint is
-    negated and base and tip are placed anew. It is less than `misfit` (m).
+    Each comes with the RMS distance (m) by which the tip moves if the joint is negated and base and
+    tip are placed anew. It is less than `misfit` (m).
     """
     made = dataclasses.replace(rows, xyz=model.tip(rows.q, rows.context()))
     unknown = []

@@ -13,9 +13,8 @@ def blocked_split(
 ) -> tuple[Session, Session]:
     """Split a session into training rows and held-out rows, in whole blocks of time.
 
-    The poses are divided into up to `BLOCKS` blocks, each pose with all of its visits. Blocks are
-    drawn until `fraction` of the rows and 30 measured poses are held out. After the first block,
-    a block that would raise the held-out poses above a third is left out.
+    Blocks (`blocks_of`) are drawn until `fraction` of the rows and 30 measured poses are held out.
+    After the first block, a block that would raise the held-out poses above a third is left out.
 
     Raises:
         InputError: there are fewer than two poses, or `fraction` is not between 0 and 1.
@@ -25,8 +24,7 @@ def blocked_split(
     poses = len(np.unique(session.pose_id))
     if poses < 2:
         raise session.error("poses", poses, "at least 2 distinct poses to split")
-    block = blocks_of(session)
-    held = np.zeros(len(session), dtype=bool)
+    block, held = blocks_of(session), np.zeros(len(session), dtype=bool)
     for drawn in np.random.default_rng(rng).permutation(np.unique(block)):
         more = held | (block == drawn)
         if len(np.unique(session.pose_id[more])) > max(1, poses // 3) and held.any():
@@ -46,8 +44,6 @@ BLOCKS = 25
 """Number of blocks of successive poses; most correlated noise stays within one block."""
 PLACED_APART = ("group", "marker", "sensor", "anchor")
 """Labels whose values are each placed by the rows that hold them."""
-
-
 _RUN = 50
 """Rows in a run of `spread_rows`: few in a session, but more than its noise is correlated."""
 
@@ -70,10 +66,7 @@ def spread_rows(session: Session, most: int) -> np.ndarray:
 
 
 def blocks_of(session: Session) -> np.ndarray:
-    """Return for each row (N,) the number of its block of successive poses.
-
-    All visits to a pose are in one block.
-    """
+    """Return for each row (N,) the number of its block; all visits to a pose are in one block."""
     _, first, inverse = np.unique(session.pose_id, return_index=True, return_inverse=True)
     poses = len(first)
     place = np.empty(poses, dtype=np.int64)
@@ -108,8 +101,7 @@ def folds_of(session: Session, rng: np.random.Generator | int = 0) -> np.ndarray
 
 def draw_row_counts(session: Session, count: int, rng: np.random.Generator | int = 0) -> np.ndarray:
     """Draw bootstrap samples of whole blocks: how often each row occurs in each, (count, N)."""
-    block = blocks_of(session)
-    names, inverse = np.unique(block, return_inverse=True)
+    names, inverse = np.unique(blocks_of(session), return_inverse=True)
     share = np.full(len(names), 1.0 / len(names))
     drawn = np.random.default_rng(rng).multinomial(len(names), share, size=count)
     return np.asarray(drawn[:, inverse])
@@ -117,8 +109,7 @@ def draw_row_counts(session: Session, count: int, rng: np.random.Generator | int
 
 def split_in_half(session: Session, rng: np.random.Generator | int = 0) -> tuple[np.ndarray, ...]:
     """Return the masks (N,) of two random halves of the rows, split by whole poses."""
-    rng = np.random.default_rng(rng)
     poses = np.unique(session.pose_id)
-    drawn = rng.permutation(poses)[: len(poses) // 2]
+    drawn = np.random.default_rng(rng).permutation(poses)[: len(poses) // 2]
     first = np.isin(session.pose_id, drawn)
     return first, ~first

@@ -22,17 +22,11 @@ _Labels = Mapping[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Equations:
-    """N rows of k scalar equations.
+    """N rows of k scalar equations."""
 
-    Attributes:
-        residual: (N, k) measured - predicted, m or rad.
-        columns: (N, k, p) derivative of the prediction by each of p parameters.
-        pull: (N, k, 3) derivative of the prediction by the position of the tip.
-    """
-
-    residual: np.ndarray
-    columns: np.ndarray
-    pull: np.ndarray
+    residual: np.ndarray  # (N, k) measured - predicted, m or rad
+    columns: np.ndarray  # (N, k, p) derivative of the prediction by each of p parameters
+    pull: np.ndarray  # (N, k, 3) derivative of the prediction by the position of the tip
 
 
 class Kind(ABC):
@@ -70,9 +64,7 @@ class Kind(ABC):
 
     @abstractmethod
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
-        """Return the equations of readings (N, c).
-
-        Their values are arbitrary in rows where nothing was measured.
+        """Return the equations of readings (N, c); arbitrary in rows where nothing was measured.
 
         Args:
             tip: the model's tip at the N rows.
@@ -171,30 +163,31 @@ class _Ray(Kind):
         return Equations(residual, pull @ columns, pull)
 
 
-class _Touch(Kind):
-    """The tip touched a point: the same one in all rows of one name, at an unknown place."""
+class _Contact(Kind):
+    """The tip touched something: the same in all rows of one name, at an unknown place."""
 
-    name = "touch"
     cells = ()
-    scalars = ("touch_x", "touch_y", "touch_z")
-    label = "touch"
-    takes = 1
     outside = False
+
+
+class _Touch(_Contact):
+    """A point that the tip touched."""
+
+    name = label = "touch"
+    scalars = ("touch_x", "touch_y", "touch_z")
+    takes = 1
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         away, columns = tip.point(self.name)
         return Equations(-away, columns, np.broadcast_to(np.eye(3), (*away.shape, 3)))
 
 
-class _Plane(Kind):
-    """The tip touched a plane: the same one in all rows of one name, at an unknown place."""
+class _Plane(_Contact):
+    """A plane that the tip touched."""
 
-    name = "plane"
-    cells = ()
+    name = label = "plane"
     scalars = ("plane_z",)
-    label = "plane"
     takes = 3
-    outside = False
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:
         point, columns = tip.point(self.name)
@@ -257,12 +250,7 @@ def compute_rotations(quaternions: np.ndarray) -> np.ndarray:
 
 
 def by_name(declared: Callable[[str], Any], names: np.ndarray) -> np.ndarray:
-    """Return the declared value of each name, (N, ...).
-
-    Args:
-        declared: returns the value of one name.
-        names: (N,).
-    """
+    """Return the declared value of each of N names, (N, ...); `declared` returns that of one."""
     known, which = np.unique(names, return_inverse=True)
     return np.array([declared(str(name)) for name in known])[which]
 

@@ -21,41 +21,17 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.math.points import ROUNDS, nearest_rotation, robust_kabsch, robust_weights
 
 _MIN_EQUATIONS = 4
-"""Smallest number of distances to an anchor, or of equations of a base.
-
-Three would leave a mirror image.
-"""
-_SEEN_SHARE = 0.1
-"""Smallest ratio of a singular value of the lifted R to the largest, if its direction was measured.
-
-All singular values of a rotation are 1.
-"""
-_FAR_MEDIANS = 6.0
-"""Misfit above which a distance is left out, as a multiple of the median misfit.
-
-For normal errors it is four standard deviations.
-"""
-_LEAST_TURN_RAD, _MOST_TURN_RAD = 0.05, 2.8
-"""Range of rotations between two rows whose axis is used.
-
-The axis of a smaller rotation is too noisy, and near pi its sign is not known.
-"""
+"""Smallest number of distances to an anchor, or of equations of a base: 3 leave a mirror image."""
 _RANK, EXACT = 1e-6, 1e-9
 """Ratio to the largest singular value, and length (m), below which a value is rounding error."""
 
 
 class _LinearEquations(NamedTuple):
-    """M equations ``direction . (R point + p) = value`` of the base's pose (R, p).
+    """M equations ``direction . (R point + p) = value`` of the base's pose (R, p)."""
 
-    Attributes:
-        direction: (M, 3) unit vectors in the frame of the measurements.
-        point: (M, 3) m, in the base frame.
-        value: (M,) m.
-    """
-
-    direction: np.ndarray
-    point: np.ndarray
-    value: np.ndarray
+    direction: np.ndarray  # (M, 3) unit vectors in the frame of the measurements
+    point: np.ndarray  # (M, 3) m, in the base frame
+    value: np.ndarray  # (M,) m
 
 
 def lifted_base(
@@ -91,7 +67,8 @@ def multilaterate(points: np.ndarray, length: np.ndarray) -> np.ndarray:
     for _ in range(ROUNDS):
         place = _fit_anchor(points[kept], length[kept])
         miss = np.abs(np.linalg.norm(points - place, axis=1) - length)
-        closer = miss <= max(_FAR_MEDIANS * float(np.median(miss)), EXACT)
+        # for normal errors six medians are four standard deviations
+        closer = miss <= max(6.0 * float(np.median(miss)), EXACT)
         if closer.sum() < _MIN_EQUATIONS or (closer == kept).all():
             break
         kept = closer
@@ -117,11 +94,7 @@ def _fit_anchor(points: np.ndarray, length: np.ndarray) -> np.ndarray:
 
 
 def _linear_equations(arm: Arm, points: np.ndarray, rows: Session) -> Iterator[_LinearEquations]:
-    """Yield the equations of coordinates, of rays, and of declared anchors.
-
-    An anchor is first located in the base frame by its distances. It then counts as a point whose
-    position in the frame of the measurements is known.
-    """
+    """Yield the equations of coordinates, of rays, and of anchors, located by their distances."""
     for k, axis in enumerate(np.eye(3)):
         some = np.isfinite(rows.xyz[:, k])
         directions = np.broadcast_to(axis, (int(some.sum()), 3))
@@ -159,7 +132,8 @@ def _solve_rotation_by_axes(axes: np.ndarray, rows: Session) -> np.ndarray | Non
     pairs = (np.roll(a, 1, axis=0) @ np.swapaxes(a, 1, 2) for a in (seen, mine))
     to, of = (Rotation.from_matrix(pair).as_rotvec() for pair in pairs)
     angle = np.linalg.norm(of, axis=1)
-    kept = (angle > _LEAST_TURN_RAD) & (angle < _MOST_TURN_RAD) & (np.roll(body, 1) == body)
+    # the axis of a smaller rotation (rad) is too noisy, and near pi its sign is not known
+    kept = (angle > 0.05) & (angle < 2.8) & (np.roll(body, 1) == body)
     if kept.sum() < 2:
         return None
     of, to = np.concatenate([of[kept], -of[kept]]), np.concatenate([to[kept], -to[kept]])
@@ -183,7 +157,7 @@ def _solve_rotation(found: _LinearEquations) -> np.ndarray:
     if s[0] < EXACT:
         return np.eye(3)
     turn = nearest_rotation(free)
-    if s[1] > _SEEN_SHARE * s[0]:
+    if s[1] > 0.1 * s[0]:  # of a rotation all are 1: this direction was measured
         return turn
     axis = u[:, 0]  # the turn about it was not measured: the smallest rotation of those left
     cross = np.cross(np.eye(3), axis)  # the matrix of v -> axis x v
@@ -193,10 +167,7 @@ def _solve_rotation(found: _LinearEquations) -> np.ndarray:
 
 
 def _robust(design: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Return the robust least-squares solution of smallest norm.
-
-    Equations with large residuals get smaller weights.
-    """
+    """Return the least-squares solution of smallest norm, with `robust_weights`."""
     weights = np.ones(len(right))
     for _ in range(ROUNDS):
         root = np.sqrt(weights)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import KnownDistance
@@ -16,15 +17,10 @@ from longarm_comp.core.errors import InputError
 
 @dataclass(frozen=True)
 class ChannelBlock:
-    """The channels of one kind of measurement.
-
-    Attributes:
-        kind: name of the kind.
-        sensor: the text in the column `sensor` of its rows; None: all rows.
-    """
+    """The channels of one kind of measurement."""
 
     kind: str
-    sensor: str | None = None
+    sensor: str | None = None  # the text in the column `sensor` of its rows; None: all rows
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -46,13 +42,7 @@ class MeasuredRows:
     blocks: tuple[ChannelBlock, ...]
 
     def error(self, field: str, value: object, allowed: str) -> InputError:
-        """Return an error about the rows, with their source.
-
-        Args:
-            field: the column or input that is wrong.
-            value: its value.
-            allowed: what is allowed instead.
-        """
+        """Return an `InputError` about the rows, with their source."""
         return InputError(self.source, field, value, allowed)
 
     def texts(self, label: str) -> np.ndarray:
@@ -60,9 +50,13 @@ class MeasuredRows:
         return self.labels.get(label, np.full(len(self.xyz), ""))
 
     @cached_property
+    def _channel_kinds(self) -> list[Kind]:
+        return [KINDS[b.kind] for b in self.blocks for _ in b.channels]
+
+    @cached_property
     def seen(self) -> np.ndarray:
         """(N,) True for rows with any measurement of the tip."""
-        of_tip = [not KINDS[b.kind].of_joint for b in self.blocks for _ in b.channels]
+        of_tip = [not kind.of_joint for kind in self._channel_kinds]
         return np.asarray(self.measured[:, of_tip].any(axis=1))
 
     @cached_property
@@ -78,8 +72,7 @@ class MeasuredRows:
     @cached_property
     def placed(self) -> np.ndarray:
         """(N,) True for rows with a measurement that depends on the tip's position."""
-        kinds = [KINDS[b.kind] for b in self.blocks for _ in b.channels]
-        where = [not kind.turns and not kind.of_joint for kind in kinds]
+        where = [not kind.turns and not kind.of_joint for kind in self._channel_kinds]
         return np.asarray(self.measured[:, where].any(axis=1))
 
     @cached_property
@@ -105,8 +98,7 @@ class MeasuredRows:
     @cached_property
     def read_joints(self) -> tuple[int, ...]:
         """Indices (0-based, among the commanded joints) of the joints with encoder readings."""
-        kinds = (KINDS[b.kind] for b in self.blocks)
-        return tuple(kind.number - 1 for kind in kinds if isinstance(kind, EncoderReading))
+        return tuple(kind.number - 1 for kind in self.kinds if kind.of_joint)
 
     @cached_property
     def channels(self) -> tuple[str, ...]:
@@ -116,7 +108,7 @@ class MeasuredRows:
     @cached_property
     def units(self) -> tuple[str, ...]:
         """The unit of each of the d channels, ``m`` or ``rad``."""
-        return tuple(KINDS[b.kind].unit for b in self.blocks for _ in b.channels)
+        return tuple(kind.unit for kind in self._channel_kinds)
 
     @cached_property
     def measured(self) -> np.ndarray:
@@ -131,10 +123,7 @@ class MeasuredRows:
 
     @cached_property
     def frames(self) -> np.ndarray:
-        """(N,) name of the frame in which each row was measured.
-
-        It is the row's group; if there are several sensors, group and sensor.
-        """
+        """(N,) name of each row's frame: its group; with several sensors, group and sensor."""
         group = self.texts("group")
         if len({block.sensor for block in self.blocks}) < 2:
             return group
@@ -144,21 +133,17 @@ class MeasuredRows:
     @cached_property
     def stated_sigma(self) -> np.ndarray:
         """(N, d) standard deviations recorded in the rows, m or rad; NaN where there is none."""
-        made = []
-        for block in self.blocks:
-            own = self.sigmas.get(block.kind)
-            given = self.sigma if block.kind == "position" else own if own is None else own[:, None]
-            shape = len(self.xyz), len(block.channels)
-            made.append(np.broadcast_to(np.nan if given is None else given, shape))
+        stated = {name: values[:, None] for name, values in self.sigmas.items()}
+        if self.sigma is not None:
+            stated["position"] = self.sigma
+        shapes = ((b.kind, (len(self.xyz), len(b.channels))) for b in self.blocks)
+        made = [np.broadcast_to(stated.get(kind, np.nan), shape) for kind, shape in shapes]
         whole = np.concatenate(made, axis=1)
         told = self.measured & np.isfinite(whole) & (whole > 0)
         return np.where(told, whole, np.nan)
 
     def names_of(self, kind: Kind) -> tuple[str, ...]:
-        """Return the names in the label column of one kind of measurement, each once.
-
-        They are the anchors, touched points, planes or cameras of the rows that measured it.
-        """
+        """Return the names (anchors, points, ...) in the rows that one kind measured, each once."""
         if kind.label not in self.labels:
             return ()
         rows = kind.find_measured(self.reading(kind)).any(axis=1)
@@ -172,12 +157,9 @@ class MeasuredRows:
         return {name: float(np.median(values)) for name, values in stated if len(values)}
 
     def uneven(self, usual: Mapping[str, float]) -> np.ndarray:
-        """Return (N,) ratio of the noise that each row states to the usual noise.
+        """Return (N,) ratio of the noise that each row states to the usual noise (by channel name).
 
         It is the geometric mean over the row's channels; 1 where it states none.
-
-        Args:
-            usual: noise by channel name, m or rad.
         """
         share = self.stated_sigma / np.array([usual.get(name, np.nan) for name in self.channels])
         known = np.isfinite(share)
@@ -223,8 +205,7 @@ class MeasuredRows:
                 allowed = ", ".join([*known, "read_q1", "..."])
                 raise self.error(f"readings {name}", "unknown kind", allowed)
             kind = KINDS[name]
-            values = np.asarray(given, dtype=float)
-            check_shape(self.source, name, values, (n_rows, len(kind.cells)))
+            values = freeze(self.source, name, given, float, (n_rows, len(kind.cells)))
             if isinstance(kind, EncoderReading) and kind.number > self.q.shape[1]:
                 raise self.error(name, "unknown", f"read_q1..q{self.q.shape[1]}")
             wrong, allowed = kind.wrong(values)
@@ -232,19 +213,21 @@ class MeasuredRows:
             for row in np.flatnonzero(wrong | partly | np.isinf(values).any(axis=1)):
                 field = f"row {row + 1}, {', '.join(kind.cells)}"
                 said = ", ".join(f"{v:g}" for v in values[row])
-                raise self.error(field, said, allowed or "numbers, or all blank")
+                raise self.error(field, said, allowed if wrong[row] else "numbers, or all blank")
             rows = kind.find_measured(values).any(axis=1)
-            if kind.label and rows.any():
-                for row in np.flatnonzero(rows & (self.texts(kind.label) == "")):
-                    field = f"row {row + 1}, {kind.label}"
-                    raise self.error(field, "blank", f"a name beside {kind.name}")
-            if rows.any():
-                readings[name] = values
-                values.flags.writeable = False
+            if not rows.any():
+                continue
+            readings[name] = values
+            unnamed = rows & (self.texts(kind.label) == "") & bool(kind.label)
+            for row in np.flatnonzero(unnamed):
+                field = f"row {row + 1}, {kind.label}"
+                raise self.error(field, "blank", f"a name beside {kind.name}")
         object.__setattr__(self, "readings", readings)
-        sigmas = {k: np.asarray(v, dtype=float) for k, v in self.sigmas.items() if k in readings}
-        for name, values in sigmas.items():
-            check_shape(self.source, KINDS[name].sigma, values, (n_rows,))
+        sigmas = {
+            name: freeze(self.source, KINDS[name].sigma, given, float, (n_rows,))
+            for name, given in self.sigmas.items()
+            if name in readings
+        }
         object.__setattr__(self, "sigmas", sigmas)
 
     def _blocks(self) -> tuple[ChannelBlock, ...]:
@@ -261,7 +244,12 @@ class MeasuredRows:
         return (*(ChannelBlock(k, s) for k, s in sensed), *read)
 
 
-def check_shape(where: str, name: str, values: np.ndarray, shape: tuple[int, ...]) -> None:
-    """Raise `InputError` if an array does not have a given shape."""
-    if values.shape != shape:
-        raise InputError(where, name, f"shape {values.shape}", f"shape {shape}")
+def freeze(
+    where: str, name: str, values: ArrayLike, kind: type, shape: tuple[int, ...]
+) -> np.ndarray:
+    """Return a read-only view of values; raise `InputError` if they do not have a given shape."""
+    frozen = np.asarray(values, dtype=kind).view()
+    if frozen.shape != shape:
+        raise InputError(where, name, f"shape {frozen.shape}", f"shape {shape}")
+    frozen.flags.writeable = False
+    return frozen

@@ -71,9 +71,8 @@ def compute_unit_lengths(model: Model, session: Session) -> np.ndarray:
     """
     units = np.array(session.units)
     made = (units == "m").astype(float)
-    rows = [model.arm.commanded[k] for k in session.read_joints]
-    if rows:
-        zeros = [JointZero(row, offset=1.0) for row in rows]
+    if session.read_joints:
+        zeros = [JointZero(model.arm.commanded[k], offset=1.0) for k in session.read_joints]
         moved = model.motion_with(compute_posture(model, session), zeros).point()[1]
         levers = np.median(np.linalg.norm(moved, axis=1), axis=0)
         made[[session.channels.index(f"read_q{k + 1}") for k in session.read_joints]] = levers
@@ -103,11 +102,7 @@ def compute_tip_errors(model: Model, session: Session, near: Posture | None = No
 
 
 def tip_errors_at(model: Model, placed: Session, at: Posture) -> np.ndarray:
-    """Compute `compute_tip_errors` of rows that all measure the tip's position.
-
-    Args:
-        at: posture of the arm at these rows.
-    """
+    """Compute `compute_tip_errors` of rows that all measure the position, from their posture."""
     positions = np.asarray(placed.xyz - model.measured_at(at))
     if placed.plain:
         return positions
@@ -132,10 +127,7 @@ def compute_touch_errors(model: Model, session: Session) -> np.ndarray:
 
 
 def compute_turn_errors(model: Model, session: Session) -> np.ndarray:
-    """Compute the rotation vectors (M, 3), rad, from predicted to measured tip orientation.
-
-    M is the number of rows with a measured orientation.
-    """
+    """Compute the rotation vectors (M, 3), rad, from predicted to M measured orientations."""
     turned = session.take(session.has_orientation)
     if not len(turned):
         return np.zeros((0, 3))
@@ -148,12 +140,9 @@ def _stack(motion: TipMotion, session: Session) -> Equations:
     if session.plain:
         point, columns = motion.point()
         return Equations(session.xyz - point, columns, np.zeros((0, 3, 3)))
-    made = {
-        kind.name: kind.equations(motion, session.reading(kind), session.labels)
-        for kind in session.kinds
-    }
-    parts = [made[channel.kind] for channel in session.blocks]
-    kept = session.measured
+    labels, kept = session.labels, session.measured
+    made = {k.name: k.equations(motion, session.reading(k), labels) for k in session.kinds}
+    parts = [made[block.kind] for block in session.blocks]
 
     def of(name: str) -> np.ndarray:
         whole = np.concatenate([getattr(part, name) for part in parts], axis=1)

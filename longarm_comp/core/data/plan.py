@@ -49,9 +49,8 @@ class Plan:
 
     def take(self, rows: np.ndarray) -> Plan:
         """Return some of the poses, by index."""
-        payload = None if self.payload_kg is None else self.payload_kg[rows]
-        touch = None if self.touch is None else self.touch[rows]
-        return Plan(self.q[rows], self.approach[rows], payload, touch)
+        arrays = (self.q, self.approach, self.payload_kg, self.touch)
+        return Plan(*(None if each is None else each[rows] for each in arrays))  # type: ignore[arg-type]
 
 
 def paper_grid(arm: Arm) -> np.ndarray:
@@ -83,22 +82,15 @@ def _levels(joints: int) -> np.ndarray:
 
 
 def grid(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """Draw n poses of the paper's grid in random order, none twice.
-
-    Raises InputError if the grid has fewer, or is larger than a million poses.
-    """
-    rng = np.random.default_rng(rng)
-    poses = paper_grid(arm)
+    """Draw n poses of the paper's grid in random order, none twice; InputError if it has fewer."""
+    rng, poses = np.random.default_rng(rng), paper_grid(arm)
     if not 1 <= n <= len(poses):
         raise InputError("plan", "n", n, f"1 to {len(poses)} (the grid of {arm.name})")
     return _with_sides(arm, poses[rng.permutation(len(poses))[:n]], rng)
 
 
 def sobol(arm: Arm, n: int, rng: np.random.Generator | int = 0) -> Plan:
-    """Draw n scrambled Sobol points in the joint box, which fill it evenly.
-
-    Raises InputError if n is not 1 to 2^20.
-    """
+    """Draw n scrambled Sobol points, which fill the joint box evenly; InputError beyond 2^20."""
     if not 1 <= n <= 2**20:
         raise InputError("plan", "n", n, f"1 to {2**20}")
     rng = np.random.default_rng(rng)
@@ -148,10 +140,7 @@ def with_room(arm: Arm, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
 
 
 def with_random_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) -> Plan:
-    """Return the same poses with a random side of arrival for each joint of each pose.
-
-    Where one side has no room for a run-up, it is the other one.
-    """
+    """Return the same poses with random sides of arrival; where one has no room, the other one."""
     drawn = np.random.default_rng(rng).choice(np.array([-1, 1]), size=plan.q.shape)
     return dataclasses.replace(plan, approach=with_room(arm, plan.q, drawn))
 
@@ -165,8 +154,8 @@ def from_both_sides(arm: Arm, plan: Plan, rng: np.random.Generator | int = 0) ->
     drawn = with_random_sides(arm, plan, rng).approach
     first = np.where(plan.approach == 0, drawn, plan.approach)
     sides = np.stack([with_room(arm, plan.q, first), with_room(arm, plan.q, -first)], axis=1)
-    payload = None if plan.payload_kg is None else np.repeat(plan.payload_kg, 2)
-    return Plan(np.repeat(plan.q, 2, axis=0), sides.reshape(-1, arm.n), payload)
+    twice = plan.take(np.repeat(np.arange(len(plan)), 2))
+    return dataclasses.replace(twice, approach=sides.reshape(-1, arm.n))
 
 
 def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
@@ -181,11 +170,6 @@ def _with_sides(arm: Arm, q: np.ndarray, rng: np.random.Generator) -> Plan:
 FLOOR = "floor"
 """Name of the keep-out box of everything below a height."""
 _FAR = 1e3
-_TIMES = (4, 16, 64)
-"""Numbers of drawn poses per wanted pose; the next one is used if too few poses are allowed."""
-
-Allowed = Callable[[Plan], np.ndarray]
-"""A function that returns (M,) True for the allowed ones of a plan's M poses."""
 
 
 def with_floor(arm: Arm, height_m: float) -> Arm:
@@ -203,10 +187,7 @@ def with_floor(arm: Arm, height_m: float) -> Arm:
 
 
 def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
-    """Return (M,) True for poses at which the arm is outside all keep-out boxes.
-
-    The start of the run-up to a pose must be outside too.
-    """
+    """Return (M,) True for poses at which, and at whose run-up, the arm is outside all boxes."""
     if not model.arm.keep_out:
         return np.ones(len(plan), dtype=bool)
     start = plan.q - plan.approach * run_up_lengths(model.arm)
@@ -216,9 +197,14 @@ def outside_boxes(model: Model, plan: Plan) -> np.ndarray:
 
 
 def fill_plan(
-    make: Callable[[Arm, int, int], Plan], arm: Arm, n: int, seed: int, allowed: Allowed, most: int
+    make: Callable[[Arm, int, int], Plan],
+    arm: Arm,
+    n: int,
+    seed: int,
+    allowed: Callable[[Plan], np.ndarray],
+    most: int,
 ) -> Plan:
-    """Return a plan of the first n allowed poses.
+    """Return a plan of the first n allowed poses; at most 64 poses are drawn for each.
 
     Args:
         make: makes a plan of a number of poses from the arm, this number and a seed.
@@ -229,7 +215,7 @@ def fill_plan(
         JobError: fewer than n of the drawn poses are allowed.
     """
     free, tried = np.zeros(0, dtype=int), 0
-    for count in sorted({n, *(min(times * n, most) for times in _TIMES)}):
+    for count in sorted({n, *(min(times * n, most) for times in (4, 16, 64))}):
         plan = make(arm, count, seed)
         free, tried = np.flatnonzero(allowed(plan))[:n], count
         if len(free) == n:

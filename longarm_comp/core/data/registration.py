@@ -17,6 +17,11 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.math.points import nearest_rotation, robust_kabsch, robust_weights
 
+_STEPS = 20
+"""Largest number of Gauss-Newton steps, each with new robust weights."""
+_MIN_ROWS = 3
+"""Smallest number of rows that determines the rotation of a group's base."""
+
 
 def median_distance(residual: np.ndarray) -> float:
     """Return the median length of (N, 3) residuals, m."""
@@ -26,12 +31,6 @@ def median_distance(residual: np.ndarray) -> float:
 def median_spread(points: np.ndarray) -> float:
     """Return the median distance of (N, 3) points from their median, m."""
     return median_distance(points - np.median(points, axis=0))
-
-
-_STEPS = 20
-"""Largest number of Gauss-Newton steps, each with new robust weights."""
-_MIN_ROWS = 3
-"""Smallest number of rows that determines the rotation of a group's base."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,16 +99,13 @@ class Registration:
     @property
     def misfit(self) -> float:
         """Median distance between the sightings and where the registered arm puts them, m."""
-        return float(np.median(self.distance))
+        return median_distance(self.residual)
 
     @classmethod
     def at(
         cls, rows: Sightings, rotation: np.ndarray, offset: np.ndarray, tip: np.ndarray
     ) -> Registration:
-        """Return the registration with a known placement, and the residuals that it leaves.
-
-        The arguments have the meaning of the attributes with the same names.
-        """
+        """Return the registration with a known placement, and the residuals that it leaves."""
         local = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
         predicted = np.einsum("nij,nj->ni", rotation[rows.group], local) + offset[rows.group]
         return cls(rotation, offset, tip, rows.seen - predicted)
@@ -118,9 +114,9 @@ class Registration:
 def register(rows: Sightings, tips: bool = True) -> Registration:
     """Find the bases and markers that bring the arm's points closest to the sightings, robustly.
 
-    Without `tips` only the bases are found.  With `tips` the markers are free too: two starts are
-    refined by Gauss-Newton, the declared markers and the linear solution, and the better result is
-    kept.  Directions that the rows do not determine stay as declared.
+    Without `tips` only the bases are found.  With it the markers are free too: two starts are
+    refined, the declared markers and the linear solution, and the better result is kept.
+    Directions that the rows do not determine stay as declared.
     """
     still = np.zeros((int(rows.marker.max()) + 1, 3))
     best = _refine(rows, still, tips)
@@ -132,11 +128,7 @@ def register(rows: Sightings, tips: bool = True) -> Registration:
 
 
 def _refine(rows: Sightings, tip: np.ndarray, tips: bool) -> Registration:
-    """Fit the bases with fixed markers, then, with `tips`, bases and markers by Gauss-Newton.
-
-    Args:
-        tip: (K, 3) displacement of each marker at the start, m.
-    """
+    """Fit the bases with fixed markers `tip`; then, with `tips`, both by Gauss-Newton."""
     groups = int(rows.group.max()) + 1
     point = rows.point + np.einsum("nij,nj->ni", rows.axes, tip[rows.marker])
     rotation, offset = np.zeros((groups, 3, 3)), np.zeros((groups, 3))

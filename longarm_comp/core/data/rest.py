@@ -41,15 +41,10 @@ class RestPose:
 
 @dataclass
 class RestWatch:
-    """Finds rest poses in a stream; each command gives at most one.
+    """Finds rest poses in a stream; each command gives at most one."""
 
-    Attributes:
-        settle_s: time that the joints must rest before a sighting counts, s.
-        sightings: number of sightings that are averaged.
-    """
-
-    settle_s: float = 0.5
-    sightings: int = 3
+    settle_s: float = 0.5  # how long the joints must rest before a sighting counts
+    sightings: int = 3  # number that is averaged
     _goal: tuple[np.ndarray, History] | None = None
     _there_since: float | None = None
     _arrived_s: float = math.inf
@@ -118,44 +113,31 @@ NO_REST = f"the joints did not rest for {REST_S} s"
 """The reason why there is no position, if the joints and not the cameras caused it."""
 _LAST = 5
 """Number of last sightings whose median is the final position; two of them may be wrong."""
-_LEAP, _LEAPS, _RETURNS = 10 * JOINT_REST, 4, 2 / 3
-"""Signs that two arms publish their joints in turn on one topic.
-
-At least `_LEAPS` steps between readings exceed `_LEAP` (rad, m), far above encoder noise, and the
-next step reverses more than `_RETURNS` of them.  For a swinging arm, read four times a period,
-it reverses half of them.
-"""
 
 
 def is_of_two_arms(joints: np.ndarray) -> bool:
     """Tell whether (m, n) joint readings, rad and m, alternate between those of two arms.
 
+    At least 4 steps between readings are far above encoder noise, and the next step reverses more
+    than two thirds of them (half of them for a swinging arm, read four times a period).
     Differences by whole turns of a joint are ignored.
     """
     steps = np.diff(joints, axis=0)
     steps -= np.round(steps / (2 * np.pi)) * 2 * np.pi
-    leaps = steps[np.abs(steps).max(axis=1, initial=0.0) > _LEAP]
+    leaps = steps[np.abs(steps).max(axis=1, initial=0.0) > 10 * JOINT_REST]
     back = np.abs(leaps[1:] + leaps[:-1]).max(axis=1, initial=0.0)
     returned = back < 0.3 * np.abs(leaps[1:]).max(axis=1, initial=0.0)
-    return bool(len(leaps) >= _LEAPS and returned.mean() > _RETURNS)
+    return bool(len(leaps) >= 4 and returned.mean() > 2 / 3)
 
 
 class Sighting(NamedTuple):
-    """A measured tip; NaN where something was not measured.
+    """A measured tip; NaN where something was not measured."""
 
-    Attributes:
-        t: time, s.
-        xyz: (3,) position, m.
-        variance: (3,) variance of the position, m^2.
-        quaternion: (4,) orientation x, y, z, w.
-        turn_variance: variance of the orientation, rad^2.
-    """
-
-    t: float
-    xyz: np.ndarray
-    variance: np.ndarray
-    quaternion: np.ndarray
-    turn_variance: float
+    t: float  # s
+    xyz: np.ndarray  # (3,) position, m
+    variance: np.ndarray  # (3,) of the position, m^2
+    quaternion: np.ndarray  # (4,) orientation x, y, z, w
+    turn_variance: float  # of the orientation, rad^2
 
 
 def blank_sighting(t: float) -> Sighting:
@@ -209,9 +191,8 @@ def mean_at_rest(
     n = len(kept)
     turn = kept[0].quaternion  # the others are close to it; NaN where one is unknown
     if n > 1:
-        turns = [s.quaternion for s in kept]
-        total = np.sum([q if q @ turn >= 0 else -q for q in turns], axis=0)
-        turn = total / np.linalg.norm(total)
+        same = [s.quaternion if s.quaternion @ turn >= 0 else -s.quaternion for s in kept]
+        turn = np.sum(same, axis=0) / np.linalg.norm(np.sum(same, axis=0))
     mean = Sighting(
         sum(s.t for s in kept) / n,
         np.mean([s.xyz for s in kept], axis=0),
@@ -228,10 +209,7 @@ def still_since(times: np.ndarray, joints: np.ndarray, begin: float) -> float:
 
 
 def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.ndarray:
-    """Return the (n,) mean of the measured joints at rest; NaN if the joints did not come to rest.
-
-    Rest is found as in `mean_at_rest`.
-    """
+    """Return the (n,) mean of the joints at rest (`mean_at_rest`); NaN if they did not rest."""
     rest = _end_of_motion(times, joints, begin)[0] if len(times) else begin
     if not len(times) or times[-1] - rest < REST_S:
         return np.full(joints.shape[1], np.nan)
@@ -239,10 +217,7 @@ def joints_at_rest(times: np.ndarray, joints: np.ndarray, begin: float) -> np.nd
 
 
 def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple[float, float]:
-    """Return the times (s) of the last reading away from the final joints, and of the next one.
-
-    Both are `begin` if no reading is away from them by more than `JOINT_REST`.
-    """
+    """Return the times (s) of the last reading away from the final joints, and of the next one."""
     moving = np.flatnonzero((np.abs(joints - joints[-1]) > JOINT_REST).any(axis=1))
     if not len(moving):
         return begin, begin
@@ -252,12 +227,7 @@ def _end_of_motion(times: np.ndarray, joints: np.ndarray, begin: float) -> tuple
 def _still_from(times: np.ndarray, joints: np.ndarray, rest: float) -> float:
     """Return the time (s) from which on the joints only flicker, as in the last half of the rest.
 
-    The flicker is that of encoders, by one tick.
-
-    Args:
-        times: (m,) times of the readings, s.
-        joints: (m, n) readings, rad and m.
-        rest: time of the last reading away from the final joints, s.
+    The flicker is that of encoders, by one tick.  `rest` is as returned by `_end_of_motion`.
     """
     last = joints[times >= min(times[-1] - REST_S, (rest + times[-1]) / 2)]
     low, high = last.min(axis=0), last.max(axis=0)

@@ -26,11 +26,12 @@ from longarm_comp.core.arm.history import (
     straight_ways,
 )
 from longarm_comp.core.arm.measuring import KnownDistance
-from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, check_shape
+from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, freeze
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 
 _Rows = np.ndarray | Sequence[int] | slice
+_BY_NAME = ("columns", "labels", "readings", "sigmas")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,10 +49,7 @@ class Session(MeasuredRows):
             `payload_kg`, `incl_<frame>_x`, any other quantity that was recorded.
         labels: text by name, (N,) each: `group`, `marker`, `role`, any other.
         source: file or bag from which it was read, for messages.
-        legs: (N, n, LEGS) signed displacements of each joint between reversals, rad and m, the
-            latest first (`core/arm/history.py`); 0 where unknown.
-        last_way: (N, n) signed displacement of each joint since it last stood still or reversed,
-            rad and m; 0 where it did not move or this is not known.
+        legs, last_way: (N, n, LEGS) and (N, n) rad and m, as in a `Context`.
         told: (N, n) side (+-1) of joints of which only the side of arrival was recorded, with a
             run-up of unknown length; 0 for others.
         readings: further measurements by kind (`core/data/kinds.py`), (N, c) each; NaN in rows
@@ -85,43 +83,36 @@ class Session(MeasuredRows):
     begun_s: float = 0.0
 
     def __post_init__(self) -> None:
-        q = _joints(self.source, self.q)
-        n_rows, n = q.shape
-        xyz = np.asarray(self.xyz, dtype=float)
-        if xyz.shape == (n_rows, 3) and np.isinf(xyz).any():
+        n_rows, n = _joints(self.source, self.q).shape
+        if np.isinf(self.xyz).any():
             raise self.error("xyz", "not finite", "numbers in m, or NaN")
-        legs = self.legs if len(self.legs) == n_rows else np.zeros((n_rows, n, LEGS))
-        last_way = self.last_way if len(self.last_way) == n_rows else np.zeros((n_rows, n))
-        told = self.told if len(self.told) == n_rows else np.zeros((n_rows, n))
-        self._set("index", self.index, np.int64, (n_rows,))
-        self._set("q", q, float, (n_rows, n))
-        self._set("xyz", xyz, float, (n_rows, 3))
-        self._set("approach", self.approach, np.int8, (n_rows, n))
-        self._set("legs", legs, float, (n_rows, n, LEGS))
-        self._set("last_way", last_way, float, (n_rows, n))
-        self._set("told", told, np.int8, (n_rows, n))
-        self._set("repeat_id", self.repeat_id, np.int64, (n_rows,))
-        if self.sigma is not None:
-            self._set("sigma", self.sigma, float, (n_rows, 3))
-        columns = {k: np.asarray(v, dtype=float) for k, v in self.columns.items()}
-        labels = {k: np.asarray(v, dtype=str) for k, v in self.labels.items()}
-        for kind, by_name in (("columns", columns), ("labels", labels)):
-            for name, values in by_name.items():
-                check_shape(self.source, name, values, (n_rows,))
-                values.flags.writeable = False
-            object.__setattr__(self, kind, by_name)
-        for name, values in columns.items():
+        shapes: dict[str, tuple[type, tuple[int, ...]]] = {
+            "index": (np.int64, (n_rows,)),
+            "q": (float, (n_rows, n)),
+            "xyz": (float, (n_rows, 3)),
+            "approach": (np.int8, (n_rows, n)),
+            "legs": (float, (n_rows, n, LEGS)),
+            "last_way": (float, (n_rows, n)),
+            "told": (np.int8, (n_rows, n)),
+            "repeat_id": (np.int64, (n_rows,)),
+            "sigma": (float, (n_rows, 3)),
+        }
+        for name, (kind, shape) in shapes.items():
+            values = getattr(self, name)
+            if name in ("legs", "last_way", "told") and not len(values):
+                values = np.zeros(shape)  # unknown
+            if values is not None:
+                object.__setattr__(self, name, freeze(self.source, name, values, kind, shape))
+        for field_name, kind in (("columns", float), ("labels", str)):
+            given = getattr(self, field_name).items()
+            made = {k: freeze(self.source, k, v, kind, (n_rows,)) for k, v in given}
+            object.__setattr__(self, field_name, made)
+        for name, values in self.columns.items():
             if np.isinf(values).any() or (np.isnan(values).any() and not INCLINATION.match(name)):
                 raise self.error(name, "not finite", "a finite number in every row")
         self._check_readings(n_rows)
         if not self.blocks:
             object.__setattr__(self, "blocks", self._blocks())
-
-    def _set(self, name: str, values: np.ndarray, kind: type, shape: tuple[int, ...]) -> None:
-        frozen = np.asarray(values, dtype=kind).view()
-        check_shape(self.source, name, frozen, shape)
-        frozen.flags.writeable = False
-        object.__setattr__(self, name, frozen)
 
     @classmethod
     def record(
@@ -150,19 +141,14 @@ class Session(MeasuredRows):
             further: other attributes of a session; those that are None are ignored.
         """
         q = _joints(source, q)
-        n_rows = len(q)
-        index = np.arange(n_rows) if index is None else np.asarray(index)
-        check_shape(source, "index", index, (n_rows,))
-        repeat_id = np.full(n_rows, -1) if repeat_id is None else repeat_id
-        begun = np.full(q.shape, np.nan) if run_up is None else np.asarray(run_up, dtype=float)
-        check_shape(source, "run_up", begun, q.shape)
+        index = np.arange(len(q)) if index is None else index
+        index = freeze(source, "index", index, np.int64, q.shape[:1])
+        repeat_id = np.full(len(q), -1) if repeat_id is None else repeat_id
+        begun = np.full(q.shape, np.nan) if run_up is None else run_up
+        begun = freeze(source, "run_up", begun, float, q.shape)
         history = recorded_history(q, index, approach, begun)
         return cls(
-            index,
-            q,
-            xyz,
-            history.approach,
-            repeat_id,
+            *(index, q, xyz, history.approach, repeat_id),
             source=source,
             legs=history.legs,
             last_way=history.last_way,
@@ -172,11 +158,7 @@ class Session(MeasuredRows):
         )
 
     def with_run_ups(self, lengths: np.ndarray) -> Session:
-        """Return the session with assumed lengths of the run-ups whose length is not known.
-
-        Args:
-            lengths: (n,) length for each joint, rad and m.
-        """
+        """Return the session with assumed lengths (n,), rad and m, of run-ups of unknown length."""
         if not self.told.any():
             return self
         history = recorded_history(self.q, self.index, self.told, self.run_up, lengths)
@@ -233,10 +215,7 @@ class Session(MeasuredRows):
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
-        """Per joint, the numbers of rows that arrived from above (-1) and from below (+1).
-
-        Empty if no side of arrival is known.
-        """
+        """Per joint, the numbers of rows from above and from below; empty if no side is known."""
         if not self.approach.any():
             return ()
         above, below = (self.approach < 0).sum(axis=0), (self.approach > 0).sum(axis=0)
@@ -277,9 +256,9 @@ class Session(MeasuredRows):
             *(("index", self.index), ("q", self.q), ("xyz", self.xyz)),
             *(("approach", self.approach), ("run_up", run_up)),
             *(("repeat_id", self.repeat_id), ("sigma", self.sigma)),
-            *((name, self.columns[name]) for name in sorted(self.columns)),
-            *((name, self.readings[name]) for name in sorted(self.readings)),
-            *((f"sigma {name}", self.sigmas[name]) for name in sorted(self.sigmas)),
+            *sorted(self.columns.items()),
+            *sorted(self.readings.items()),
+            *((f"sigma {name}", values) for name, values in sorted(self.sigmas.items())),
         ]
         for name, values in parts:
             if values is not None:
@@ -291,30 +270,29 @@ class Session(MeasuredRows):
             digest.update("\0".join([name, *self.labels[name]]).encode())
         return digest.hexdigest()
 
-    def context(self, rows: _Rows | None = None) -> Context:
-        """Return the circumstances of the rows, or of some of them; every scalar is (N,).
+    def context(self) -> Context:
+        """Return the circumstances of the rows; every scalar is (N,).
 
-        The history of the joints is left out if no side of arrival is known in the whole session.
+        The history of the joints is left out if no side of arrival is known.
         """
-        at: _Rows = slice(None) if rows is None else rows
-        history = History(self.approach[at].astype(float), self.legs[at], self.last_way[at])
-        columns = {name: values[at] for name, values in self.columns.items()}
+        history = History(self.approach.astype(float), self.legs, self.last_way)
+        columns = dict(self.columns)
         if self.t_s is not None:
-            columns["t_s"] = columns["t_s"] - self.begun_s
+            columns["t_s"] = self.t_s - self.begun_s
         return Context(
-            **(history.fields() if self.approach.any() else {}),
-            columns=columns,
-            labels={name: values[at] for name, values in self.labels.items()},
+            **(history.fields() if self.approach.any() else {}), columns=columns, labels=self.labels
         )
 
     def take(self, rows: _Rows) -> Session:
         """Return some of the rows: a mask (N,), indices or a slice."""
-        arrays = ("index", "q", "xyz", "approach", "legs", "last_way", "told", "repeat_id")
-        taken: dict[str, Any] = {name: getattr(self, name)[rows] for name in arrays}
-        for kind in ("columns", "labels", "readings", "sigmas"):
-            taken[kind] = {name: values[rows] for name, values in getattr(self, kind).items()}
-        sigma = None if self.sigma is None else self.sigma[rows]
-        return dataclasses.replace(self, sigma=sigma, **taken)
+        taken: dict[str, Any] = {}
+        for each in dataclasses.fields(self):
+            held = getattr(self, each.name)
+            if isinstance(held, np.ndarray):
+                taken[each.name] = held[rows]
+            elif each.name in _BY_NAME:
+                taken[each.name] = {name: values[rows] for name, values in held.items()}
+        return dataclasses.replace(self, **taken)
 
     def followed_by(self, more: Session) -> Session:
         """Return the session with more rows after its own, numbered on from its last one.
@@ -324,27 +302,26 @@ class Session(MeasuredRows):
         Raises:
             InputError: only one of both has a number that every row needs, such as `payload_kg`.
         """
-        both = {}
-        for kind in ("columns", "labels", "readings", "sigmas"):
-            mine, theirs = getattr(self, kind), getattr(more, kind)
+        both: dict[str, Any] = {}
+        for kind in _BY_NAME:
+            pair = getattr(self, kind), getattr(more, kind)
             both[kind] = {
                 name: np.concatenate(
                     [
-                        mine[name] if name in mine else _blank(theirs[name], len(self)),
-                        theirs[name] if name in theirs else _blank(mine[name], len(more)),
+                        held[name] if name in held else _blank(like, len(rows))
+                        for held, rows in zip(pair, (self, more), strict=True)
                     ]
                 )
-                for name in {**mine, **theirs}
+                for name, like in {**pair[0], **pair[1]}.items()
             }
-        sigmas = [s.xyz * np.nan if s.sigma is None else s.sigma for s in (self, more)]
+        if self.sigma is not None or more.sigma is not None:
+            sigmas = [s.xyz * np.nan if s.sigma is None else s.sigma for s in (self, more)]
+            both["sigma"] = np.concatenate(sigmas)
+        for name in ("q", "xyz", "run_up", "repeat_id"):
+            both[name] = np.concatenate([getattr(self, name), getattr(more, name)])
         return Session.record(
-            np.concatenate([self.q, more.q]),
-            np.concatenate([self.xyz, more.xyz]),
             index=np.concatenate([self.index, self.index[-1] + 1 + np.arange(len(more))]),
             approach=np.concatenate([self.told, more.told]),
-            run_up=np.concatenate([self.run_up, more.run_up]),
-            repeat_id=np.concatenate([self.repeat_id, more.repeat_id]),
-            sigma=None if self.sigma is None and more.sigma is None else np.concatenate(sigmas),
             source=self.source,
             touch_distances=tuple(dict.fromkeys((*self.touch_distances, *more.touch_distances))),
             begun_s=self.begun_s,
@@ -357,11 +334,7 @@ class Session(MeasuredRows):
         return dataclasses.replace(self, begun_s=other.begun_s)
 
     def where(self, label: str, value: str) -> Session:
-        """Return the rows whose text column `label` holds `value`.
-
-        Raises:
-            InputError: there is no such text column.
-        """
+        """Return the rows whose text column `label` holds `value`; InputError without it."""
         if label not in self.labels:
             known = ", ".join(self.labels) or "none"
             raise self.error(label, "missing", f"a text column (there are: {known})")

@@ -32,19 +32,12 @@ FEW = 3
 
 @dataclass(frozen=True)
 class SharedBy:
-    """A common trait of rows set aside.
+    """A common trait of rows set aside."""
 
-    Attributes:
-        input: column of the session, or ``order`` (the row's place in the file).
-        value: the common value or range of this input, in words.
-        rows: the number of rows set aside that have it.
-        p_value: probability of this many by chance, times the number of inputs that were tried.
-    """
-
-    input: str
-    value: str
-    rows: int
-    p_value: float
+    input: str  # column of the session, or ``order`` (the row's place in the file)
+    value: str  # the common value or range of this input, in words
+    rows: int  # the number of rows set aside that have it
+    p_value: float  # of this many by chance, times the number of inputs that were tried
 
     def __str__(self) -> str:
         return f"{self.input} {self.value} ({self.rows} of them, p {self.p_value:.1g})"
@@ -52,17 +45,11 @@ class SharedBy:
 
 @dataclass(frozen=True)
 class SetAside:
-    """Rows of a session that a fit does not believe.
+    """Rows of a session that a fit does not believe."""
 
-    Attributes:
-        rows: their positions among the rows that were fitted.
-        share: their fraction of the rows that were fitted.
-        shared_by: the traits that they have in common, the least probable first.
-    """
-
-    rows: tuple[int, ...]
-    share: float
-    shared_by: tuple[SharedBy, ...]
+    rows: tuple[int, ...]  # their positions among the rows that were fitted
+    share: float  # their fraction of these
+    shared_by: tuple[SharedBy, ...]  # the traits that they have in common, the least probable first
 
     @classmethod
     def of(cls, session: Session, aside: np.ndarray) -> SetAside:
@@ -91,11 +78,7 @@ class SetAside:
         return f"{text}, which share {shared}" if shared else text
 
     def describe(self, session: Session) -> str:
-        """Return the summary, followed by the text column `point` of each row, else its index.
-
-        Args:
-            session: the rows that were fitted.
-        """
+        """Return the summary, and the text `point` or else the index of each of the fitted rows."""
         numbers = session.labels.get("point", session.index)[list(self.rows)]
         return f"{self.summary}: {', '.join(map(str, numbers))}" if self.rows else self.summary
 
@@ -155,12 +138,8 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
 def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
     """Return the text that is most significant for the visits set aside, with rows and p-value.
 
-    None if all texts are the same, or fewer than `FEW` visits are set aside.
-
-    Args:
-        texts: text of each visit.
-        spoilt: whether a row of the visit is set aside.
-        rows: number of rows set aside in the visit.
+    None if all texts are the same, or fewer than `FEW` visits are set aside.  `spoilt` says of
+    each visit whether any row of it is set aside, and `rows` how many are.
     """
     names = np.unique(texts)
     if len(names) < 2 or spoilt.sum() < FEW:
@@ -180,8 +159,7 @@ def _commonest_text(texts: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> 
 def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -> _Found | None:
     """Return the interval of a number in which the visits set aside are most significantly dense.
 
-    The number of rows in it and the p-value come with it.  None if the number is constant, or fewer
-    than `FEW` visits are set aside.  The arguments are as in `_commonest_text`.
+    Arguments and result are those of `_commonest_text`, with numbers instead of texts.
     """
     order = np.argsort(values, kind="stable")
     values, spoilt, rows = values[order], spoilt[order], rows[order]

@@ -24,8 +24,7 @@ from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.tip_motion import stack
 
-_Misfit = Callable[[np.ndarray], np.ndarray]
-"""A function that returns the distances (N,) of points (N, 3) from a solution, m."""
+_Misfit = Callable[[np.ndarray], np.ndarray]  # points (N, 3) -> distances from a solution (N,), m
 _OFF_SHARE = 0.1
 """Largest plausible error of a known distance, as the declared arm measures it, over the reach."""
 
@@ -90,9 +89,10 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
         return
     touched_terms(arm, session)
     if len(np.unique(session.texts("group"))) > 1 and not session.has_own_frame(arm):
-        allowed = "one base placement if all rows are touches: "
-        allowed += "touches do not show where the bases stand"
-        raise session.error("group", "several", allowed)
+        why = "touches do not show where the bases stand"
+        raise session.error(
+            "group", "several", f"one base placement if all rows are touches: {why}"
+        )
     tips = Model(arm).tip(session.q, session.context())
     touched = session.texts("touch")
     for one, other, length, _ in (*known_distances(arm.touch_distances), *session.touch_distances):
@@ -112,12 +112,7 @@ def check_touches(session: Session, arm: Arm) -> Iterator[tuple[str, str]]:
 
 
 def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> tuple[Bias, ...]:
-    """Return the terms with each touched point and plane placed at the tips, in closed form.
-
-    Args:
-        terms: the model's terms on the measuring side; terms of other kinds are not changed.
-        tips: (N, 3) predicted tips at the rows of the session, m.
-    """
+    """Return a model's biases with each touched point and plane placed at the tips (N, 3), m."""
     places: dict[str, np.ndarray] = {}
     made: list[Bias] = []
     for term in terms:
@@ -136,10 +131,7 @@ def place_touched(terms: Sequence[Bias], tips: np.ndarray, session: Session) -> 
 def with_touched(model: Model, session: Session, at: Posture) -> Model:
     """Return the model with a term for each touched point and plane of the session that it lacks.
 
-    The model may have been fitted to other rows.
-
-    Args:
-        at: posture of the arm at the rows.
+    It may have been fitted to other rows.  `at` is the posture of the arm at these.
     """
     if all(kind.cells for kind in session.kinds):
         return model
@@ -158,14 +150,9 @@ def with_touched(model: Model, session: Session, at: Posture) -> Model:
 def _place_point(
     term: TouchPlace | TouchBeside, tips: np.ndarray, beside: np.ndarray | None
 ) -> tuple[TouchPlace | TouchBeside, np.ndarray]:
-    """Place a touched point at the middle of the tips.
+    """Place a touched point at the middle of the tips (k, 3), m; return its position too.
 
-    Args:
-        tips: (k, 3) tips that touched it, m.
-        beside: (3,) position of the point that it is placed by, m, if there is one.
-
-    Returns:
-        The term, and the position of the point (3,), m.
+    `beside` is the position of the point that it is placed by, if there is one.
     """
 
     def solve(kept: np.ndarray) -> tuple[np.ndarray, _Misfit]:
@@ -200,12 +187,7 @@ def _place_plane(term: PlanePlace, tips: np.ndarray) -> PlanePlace:
 def _solve_robustly(
     tips: np.ndarray, solve: Callable[[np.ndarray], tuple[np.ndarray, _Misfit]]
 ) -> np.ndarray:
-    """Return a closed-form solution that leaves out the tips far from it.
-
-    Args:
-        tips: (k, 3) m.
-        solve: returns the solution of some tips, and a function for the distances from it.
-    """
+    """Return the closed-form solution of tips (k, 3), m, that leaves out the tips far from it."""
     answer, misfit = solve(tips)
     for _ in range(4):
         away = misfit(tips)  # four standard deviations are six medians

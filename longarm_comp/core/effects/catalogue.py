@@ -120,11 +120,7 @@ def searched_effects() -> tuple[Kind, ...]:
 
 
 def possible_compliances(arm: Arm, held: Container[tuple[str, str]]) -> tuple[Effect, ...]:
-    """List the elastic effects of this package that are possible on an arm, except some.
-
-    Args:
-        held: keys of the effects that are left out.
-    """
+    """List the elastic effects of this package on an arm, except those with the keys `held`."""
     kinds = (k for k in searched_effects() if issubclass(k, Effect) and k.elastic and not origin(k))
     every = (term for kind in kinds for term in kind.for_arm(arm))
     return tuple(t for t in every if t.key not in held)
@@ -137,14 +133,11 @@ def through_others(arm: Arm) -> list[Effect]:
 
 
 def effect_class(name: str, where: str, known_from: str = "") -> Kind:
-    """Return the class of the effect with a canonical name.
+    """Return the class of the effect with a canonical name; InputError if there is none.
 
     Args:
         where: the source of the name, as the error calls it.
         known_from: the effect's `origin`, if the source states it.
-
-    Raises:
-        InputError: no effect with this name is registered.
     """
     found = BUILT_IN.get(name) or registered().get(name)
     if found is None:
@@ -181,10 +174,7 @@ def register(kind: _K, source: str = "") -> _K:
 
 
 def load_file(path: str | Path) -> tuple[Kind, ...]:
-    """Execute a Python file, once for the same contents, and register the effects in it.
-
-    Returns:
-        Their classes.
+    """Execute a Python file, once for the same contents; register and return its effects' classes.
 
     Raises:
         InputError: the file defines no effect, or an invalid one.

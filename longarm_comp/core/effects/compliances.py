@@ -64,9 +64,8 @@ class JointCompliance(JointTerm):
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Return the parameter; its prior is 20 mrad under the typical torque of its place.
 
-        For a slide it is 0.2 % of the reach under the arm's weight.  By their catalogues, gears,
-        shafts and servos are as stiff as they are strong.  Fits of real arms, with all bearings
-        soft too, gave 43 to 75 mrad for Justin, 18 and 24 for a WAM, up to 11 for Pandas.
+        For a slide it is 0.2 % of the reach under the arm's weight.  Fits of real arms, with all
+        bearings soft too, gave 43 to 75 mrad for Justin, 18 and 24 for a WAM, up to 11 for Pandas.
         """
         loads = typical_loads(arm)
         if self.slides(arm):
@@ -117,12 +116,8 @@ class BearingTilt(JointTerm):
     loaded = True
     elastic = True
 
-    about_x: float = parameter(
-        "rad/(N m)", "tilt about x_{i-1} per moment", prior=2e-3, lower=0.0, like="seat"
-    )
-    about_y: float = parameter(
-        "rad/(N m)", "tilt about y' per moment", prior=2e-3, lower=0.0, like="seat"
-    )
+    about_x: float = parameter("rad/(N m)", "tilt about x_{i-1} per moment", 2e-3, 0.0, like="seat")
+    about_y: float = parameter("rad/(N m)", "tilt about y' per moment", 2e-3, 0.0, like="seat")
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
         """Return the parameters; their priors are 10 mrad under the typical torque of the place.
@@ -143,9 +138,6 @@ class BearingTilt(JointTerm):
         c, s = spatial.cos(theta), spatial.sin(theta)
         tilt_x, tilt_y = self.about_x * (c * x - s * y), self.about_y * (s * x + c * y)
         return {station: (0.0, 0.0, 0.0, c * tilt_x + s * tilt_y, c * tilt_y - s * tilt_x, 0.0)}
-
-
-_POINT = 1e-6  # m: a link shorter than this has no direction
 
 
 @dataclass(frozen=True)
@@ -177,17 +169,14 @@ class LinkBending(Effect):
     def price(self, arm: Arm) -> float:
         """Return the log of the number of all links over the number of links without a beam.
 
-        Only rows with a length count. A link with a declared beam is as likely to be the cause, so
-        it gets its part of the prior.
+        A link with a declared beam is as likely to be the cause, so it gets its part of the prior.
         """
-        every = sum(map(_long, arm.joints))
-        return math.log(every / len(self.sites(arm)))
+        return math.log(sum(map(_long, arm.joints)) / len(self.sites(arm)))
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters.
+        """Return the parameters; their prior lets a quarter of the reach bend by 10 mrad.
 
-        Their prior is the value with which a quarter of the reach bends by 10 mrad under the
-        typical torque at the start of the link. A short link of the same section bends less.
+        That is under the typical torque at the start of the link.
         """
         return self.with_prior(0.01 / (typical_loads(arm).at(self.row - 1) * reach(arm) / 4))
 
@@ -195,7 +184,7 @@ class LinkBending(Effect):
         start, station = posture.frame(self.row - 1), posture.frame(self.row)
         end = posture.frames[station]
         r = end.unrotate(spatial.sub(end.p, posture.frames[start].p))
-        length: Scalar = spatial.sqrt(spatial.dot(r, r) + _POINT**2)
+        length: Scalar = spatial.sqrt(spatial.dot(r, r) + 1e-12)  # m^2: a point has no direction
         force, moment = posture.force(station), posture.moment(station)
         lever = spatial.cross(r, force)
         along = spatial.scale(spatial.dot(r, moment) / length, r)

@@ -20,11 +20,10 @@ from longarm_comp.core.arm.context import ORDER, Context
 from longarm_comp.core.arm.posture import BASE, Posture, Twists
 from longarm_comp.core.arm.spatial import ZERO, Frame, Scalar, Twist, Vec
 from longarm_comp.core.effects.effect import Bias, Effect, Parameter, form, parameter, place
-from longarm_comp.core.effects.link_deflection import bent, elements
+from longarm_comp.core.effects.link_deflection import bent
 from longarm_comp.core.effects.quantities import (
     AXES,
-    JointSide,
-    JointWay,
+    OfHistory,
     OfPosture,
     Recorded,
     SeenCoordinate,
@@ -60,18 +59,12 @@ def _find_station(posture: Posture, place: str) -> tuple[int, Frame]:
 
 @dataclass(frozen=True)
 class _Component(ABC):
-    """A twist or load at a place.
+    """A twist or load at a place."""
 
-    Attributes:
-        word: its name without the axis.
-        unit: unit of its amount.
-        axis: 0, 1 or 2; None if the posture determines the direction.
-    """
+    word: ClassVar[str]  # its name without the axis
+    unit: ClassVar[str]  # of its amount
 
-    word: ClassVar[str]
-    unit: ClassVar[str]
-
-    axis: int | None = None
+    axis: int | None = None  # 0, 1 or 2; None if the posture determines the direction
 
     @property
     def name(self) -> str:
@@ -80,11 +73,10 @@ class _Component(ABC):
 
     @abstractmethod
     def twists(self, posture: Posture, station: int, frame: Frame, amount: Scalar) -> Twists:
-        """Return the twists (m, rad), by station, that an amount of the component causes.
+        """Return the twists (m, rad), by station, of an amount (in `unit`) of the component.
 
         Args:
             station, frame: the place, as returned by `_find_station`.
-            amount: in `unit`.
         """
 
     def along(self, amount: Scalar) -> Vec:
@@ -130,7 +122,7 @@ class Wrench(_Component):
         """Bend every element as a cantilever under the load at its end, to first order."""
         pushed, turned = self.loads(posture, frame, amount)
         made: dict[int, Twist] = {}
-        for element in elements(posture):
+        for element in posture.chain.elements:
             if element.station <= station:
                 end = posture.frames[element.station]
                 lever = spatial.sub(frame.p, end.p)
@@ -197,15 +189,10 @@ def views(arm: Arm) -> list[str]:
 
 
 class _OfFunction:
-    """The common base of `Discovered` and `DiscoveredView`: the function and its checks.
-
-    Attributes:
-        kind: class of the quantities on which the function may depend; recorded columns are always
-            allowed.
-    """
+    """The common base of `Discovered` and `DiscoveredView`: the function and its checks."""
 
     name: ClassVar[str]
-    kind: ClassVar[type]
+    kind: ClassVar[type]  # of the quantities that it may depend on, besides recorded columns
     at: str
     component: str
     function: str
@@ -220,11 +207,7 @@ class _OfFunction:
 
     @cached_property
     def of(self) -> Function:
-        """The function that `function` and `domain` describe.
-
-        Raises:
-            FunctionError: the texts are not valid.
-        """
+        """The function that `function` and `domain` describe; FunctionError if they are invalid."""
         return function(self.function, self.domain)
 
     @property
@@ -246,9 +229,9 @@ class _OfFunction:
             if not (isinstance(of, (self.kind, Recorded)) and of.exists(arm)):
                 allowed = "a quantity of this arm, or a recorded column"
                 raise InputError(where, f"{self.name}.function", factor.of, allowed)
-        allowed = f"a number within +-{LARGEST:g}"
         for field, value in (("scale", self.scale), ("amount", self.amount)):
             if not abs(value) <= LARGEST:
+                allowed = f"a number within +-{LARGEST:g}"
                 raise InputError(where, f"{self.name}.{field}", value, allowed)
         if not self.scale > 0:
             raise InputError(where, f"{self.name}.scale", self.scale, "above 0")
@@ -291,7 +274,7 @@ class Discovered(_OfFunction, Effect):
         return (int(row),) if kind == "joint" else ()
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
-        sides = (q for q in self.of.quantities if isinstance(q, (JointSide, JointWay)))
+        sides = (q for q in self.of.quantities if isinstance(q, OfHistory))
         return tuple(dict.fromkeys(q.joint for q in sides))
 
     def outside(self, posture: Posture) -> list[tuple[str, ...]]:
@@ -302,7 +285,7 @@ class Discovered(_OfFunction, Effect):
         made: list[tuple[str, ...]] = [()] * posture.count
         for factor in {f.of: f for f in self.of.factors if f.of != ORDER}.values():
             read = factor.quantity.read(posture)
-            slack = _SLACK * (factor.high - factor.low)
+            slack = 1e-6 * (factor.high - factor.low)
             for row, x in enumerate(np.broadcast_to(read, posture.count).tolist()):
                 if not factor.low - slack <= x <= factor.high + slack:
                     text = f"{factor.of} {x:.4g} ({factor.low:.4g}..{factor.high:.4g})"
@@ -310,10 +293,7 @@ class Discovered(_OfFunction, Effect):
         return made
 
     def change_beyond(self, posture: Posture) -> np.ndarray:
-        """Estimate, for N postures, the possible error of the term outside the data.
-
-        It is in the unit of the component.
-        """
+        """Estimate the possible error (N,) outside the data, in the component's unit."""
         return abs(self.amount) * self.of.change_beyond(lambda q: q.read(posture))
 
     def twists(self, posture: Posture) -> Twists:
@@ -366,9 +346,6 @@ class DiscoveredView(_OfFunction, Bias):
         moved = list(point)
         moved[AXES.index(self.axis)] = moved[AXES.index(self.axis)] + by
         return (moved[0], moved[1], moved[2])
-
-
-_SLACK = 1e-6
 
 
 def _divide_unit(unit: str, over: list[str]) -> str:

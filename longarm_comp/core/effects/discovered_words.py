@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from math import floor, log10
 
 from longarm_comp.core.arm.context import ORDER
@@ -39,59 +38,39 @@ from longarm_comp.core.effects.shapes import Above, Below, Cosine, Shape, Sine, 
 Found = Discovered | DiscoveredView
 
 
-@dataclass(frozen=True)
 class _Traits:
     """The traits of discovered terms by which a physical cause like them is chosen."""
 
-    terms: Sequence[Found]
-
-    @property
-    def shapes(self) -> list[Shape]:
-        return [s for t in self.terms for s in t.of.factors]
-
-    @property
-    def places(self) -> dict[tuple[str, str], None]:
-        """The place and component of each term, without repetition."""
-        return dict.fromkeys((t.at, t.component) for t in self.terms)
+    def __init__(self, terms: Sequence[Found]) -> None:
+        self.terms = terms
+        self.shapes = [s for t in terms for s in t.of.factors]
+        self.places = dict.fromkeys((t.at, t.component) for t in terms)
+        self.columns = {s.of for s in self.shapes if isinstance(s.quantity, Recorded)}
+        self.measured = any(t.at == CAMERA for t in terms)
 
     def of(self, *kinds: type[Quantity]) -> bool:
         """Tell whether a term depends on a quantity of one of these kinds."""
         return any(isinstance(s.quantity, kinds) for s in self.shapes)
 
     def shape(self, *kinds: type[Shape], of: tuple[type[Quantity], ...] = (Quantity,)) -> bool:
-        """Tell whether a term has a shape of one of these kinds.
-
-        Args:
-            kinds: kinds of shapes.
-            of: the kinds of quantities that the shape may have; by default any.
-        """
+        """Tell whether a term has a shape of one of these kinds, of a quantity of these kinds."""
         return any(isinstance(s, kinds) and isinstance(s.quantity, of) for s in self.shapes)
 
     def acts(self, kind: type) -> bool:
         """Tell whether the components of all terms are of one kind."""
         return all(isinstance(COMPONENTS.get(t.component), kind) for t in self.terms)
 
-    @property
-    def columns(self) -> set[str]:
-        """The recorded columns on which the terms depend."""
-        return {s.of for s in self.shapes if isinstance(s.quantity, Recorded)}
 
-
+_LOADS = (JointLoad, Moment, Gravity)
 _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
-    (
-        "an error of what is measured, not of the arm",
-        lambda t: any(each.at == CAMERA for each in t.terms),
-    ),
+    ("an error of what is measured, not of the arm", lambda t: t.measured),
     (
         "a common supply that sags as the loads add up",
         lambda t: t.of(LoadSum) and len(t.places) > 1,
     ),
     ("play or friction", lambda t: t.of(JointSide)),
     ("rows that were measured before the arm stood", lambda t: t.of(JointWay)),
-    (
-        "a seat or clearance that flips with the load",
-        lambda t: t.shape(Switch, of=(JointLoad, Moment, Gravity)),
-    ),
+    ("a seat or clearance that flips with the load", lambda t: t.shape(Switch, of=_LOADS)),
     ("a spring or cable between the two places", lambda t: t.of(Span)),
     ("a contact, a stop or a taut cable", lambda t: t.shape(Above, Below)),
     ("something that happened between two poses", lambda t: ORDER in t.columns and t.shape(Switch)),
@@ -115,10 +94,7 @@ _READINGS: tuple[tuple[str, Callable[[_Traits], bool]], ...] = (
 
 
 def reading(terms: Sequence[Found]) -> str:
-    """Return a text on the physical cause that the terms together behave like.
-
-    It does not claim that this is the cause.
-    """
+    """Return a text on the physical cause that the terms together behave like."""
     traits = _Traits(terms)
     words = (f"behaves like {words}" for words, fits in _READINGS if fits(traits))
     return next(words, "no known cause")
@@ -127,8 +103,7 @@ def reading(terms: Sequence[Found]) -> str:
 def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> str:
     """Return terms as a formula, ``joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5``.
 
-    Args:
-        amounts: value, standard error and unit of each term's amount.
+    `amounts` are the value, standard error and unit of each term's amount.
     """
     by_place: dict[str, list[str]] = {}
     for term, (value, error, unit) in zip(terms, amounts, strict=True):
@@ -141,8 +116,7 @@ def formula(terms: Sequence[Found], amounts: list[tuple[float, float, str]]) -> 
 def seen_alike(terms: Sequence[Found]) -> list[str]:
     """List the errors of the camera that would look the same as the terms.
 
-    It is one text, for a shift of all points, if the terms only move the base by recorded columns;
-    else none.
+    Terms that only move the base by recorded columns have one: a shift of all points.
     """
     traits = _Traits(terms)
     moved = all(t.at == BASE_PLACE and t.component.startswith(Move.word) for t in terms)
@@ -154,12 +128,9 @@ def seen_alike(terms: Sequence[Found]) -> list[str]:
 
 
 def domain(terms: Sequence[Found]) -> list[str]:
-    """List the range in the data of every quantity of the terms, as ``q2 0..0.52``.
-
-    Outside its range a quantity counts as at the end of it.
-    """
-    held = {s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in _Traits(terms).shapes}
-    return list(held.values())
+    """List the range in the data of every quantity of the terms, as ``q2 0..0.52``."""
+    shapes = (s for t in terms for s in t.of.factors)
+    return list({s.of: f"{s.of} {s.low:.4g}..{s.high:.4g}" for s in shapes}.values())
 
 
 def _round_to_error(value: float, error: float) -> str:

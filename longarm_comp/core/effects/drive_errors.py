@@ -160,7 +160,7 @@ class UnfinishedMove(JointTerm):
     def price(self, arm: Arm) -> float:
         """Return this joint's part of the price of the choice: any single joint, or all joints."""
         count = len(self.rows(arm))
-        return super().price(arm) + math.log(count + 1) / count
+        return math.log(count + 1) / count
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -210,10 +210,9 @@ class ServoQuantisation(JointTerm):
         return cls(row, steps_per_turn=2 * math.pi / step)
 
     def price(self, arm: Arm) -> float:
-        """Return the log of the number of distinguishable step sizes.
+        """Return the log of the number of distinguishable step sizes; 0: a usual or declared step.
 
-        It is 0 for a usual or declared step. Two other sizes are distinguishable if they differ by
-        a quarter of a step at the end of the range.
+        Two sizes are distinguishable if they differ by a quarter of a step at the end of the range.
         """
         if not self.step_m and self.steps_per_turn in (0, *_STEPS_PER_TURN):
             return 0.0
@@ -234,11 +233,8 @@ class ServoQuantisation(JointTerm):
         """
         revolute = [row for row in arm.commanded if JointTerm.fits(arm, row)]
         rows = [row for row in revolute if arm.joints[row - 1].step == 0] or revolute
-        return [
-            tuple(cls(joint=row, steps_per_turn=steps) for row in rows)
-            for steps in _STEPS_PER_TURN
-            if rows
-        ]
+        usual = _STEPS_PER_TURN if rows else ()
+        return [tuple(cls(row, steps_per_turn=steps) for row in rows) for steps in usual]
 
     @property
     def reading(self) -> str:

@@ -46,70 +46,45 @@ Sites = Sequence[Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class _Term:
-    """The common base of arm-side effects and measuring-side biases: identity, parameters, files.
+    """The common base of arm-side effects and measuring-side biases."""
 
-    Attributes:
-        name: canonical name, used in files and reports.
-        title: what a mechanic calls it: ``play``.
-        action: what can be done about it at the arm, in one sentence.
-        whole: text for its place if it has no place field: ``arm``.
-        part: attribute of `Arm` that must not be empty for this effect: ``links``, ``camera``.
-        needs: recorded inputs that every instance needs.
-        geometry: whether it is always fitted, and never "named" by a diagnosis.
-        slips: whether it may slip while the arm works, though it is geometry.
-        knocked: whether a knock may change it. A knock of the measuring device looks the same.
-        passing: whether it belongs to one fit only (such as the place of a touched point) and is
-            never written into model.yaml.
-        seen_only: whether it moves the arm, and gravity with it, only in the frame of the
-            measurements.
-        continuous: whether it changes little for a small motion of the joints.
-        loaded: whether it depends on the loads, so that it must be iterated as the arm sags.
-        elastic: whether it is a part that yields under its load. A little of it at every place is
-            no finding.
-        searched: whether a diagnosis tries it. Geometry is always fitted instead.
-        on_request: whether a diagnosis tries it only if the user names it (`kinds`).
-        through_others: whether it moves the tip only through other effects of the model; it is then
-            not searched.
-        aliases: effects that no measurement of the tip can distinguish from it. One of the two
-            declares the other.
-        limit_aliases: effects that it equals at an end of its form's scale or of a parameter's
-            bounds. Studies accept either name there.
-        free_levels: for an effect that depends only on the position of one turning joint: number
-            of distinct positions at which it can take any values, together with the joint's
-            zero.  On a grid with no more positions it imitates every other such function.  0 for
-            other effects.
-        displaces_joint: whether its only parameter displaces one joint. Its column is then the
-            motion of the tip by any displacement of that joint, and structure is sought along it.
-        stepped: whether it has steps of a size that a scan finds (`of_step`).
-        bends_beams: whether it computes the bending of the declared beams.
-        acts: where it acts. An encoder at the motor sees effects at the ``servo``, one at the
-            joint also those at the ``gear``; no encoder sees those at the ``arm``.
-    """
-
-    name: ClassVar[str]
-    title: ClassVar[str] = ""
-    action: ClassVar[str] = "Look for its cause at that place."
-    whole: ClassVar[str] = "arm"
-    part: ClassVar[str] = ""
-    needs: ClassVar[tuple[str, ...]] = ()
-    geometry: ClassVar[bool] = False
-    slips: ClassVar[bool] = False
-    knocked: ClassVar[bool] = False
-    passing: ClassVar[bool] = False
+    name: ClassVar[str]  # canonical name, used in files and reports
+    title: ClassVar[str] = ""  # what a mechanic calls it: ``play``
+    action: ClassVar[str] = "Look for its cause at that place."  # what can be done about it
+    whole: ClassVar[str] = "arm"  # text for its place if it has no place field
+    part: ClassVar[str] = ""  # attribute of `Arm` that must not be empty: ``links``, ``camera``
+    needs: ClassVar[tuple[str, ...]] = ()  # recorded inputs that every instance needs
+    geometry: ClassVar[bool] = False  # is always fitted, and never "named" by a diagnosis
+    slips: ClassVar[bool] = False  # may slip while the arm works, though it is geometry
+    knocked: ClassVar[bool] = False  # a knock may change it (or the measuring device)
+    passing: ClassVar[bool] = False  # belongs to one fit and is never written into model.yaml
     seen_only: ClassVar[bool] = False
-    loaded: ClassVar[bool] = False
-    elastic: ClassVar[bool] = False
-    continuous: ClassVar[bool] = True
-    searched: ClassVar[bool] = True
-    on_request: ClassVar[bool] = False
-    through_others: ClassVar[bool] = False
+    """Whether it moves the arm, and gravity with it, only in the frame of the measurements."""
+    loaded: ClassVar[bool] = False  # depends on the loads: it is iterated as the arm sags
+    elastic: ClassVar[bool] = False  # yields under load: a little of it everywhere is no finding
+    continuous: ClassVar[bool] = True  # changes little for a small motion of the joints
+    searched: ClassVar[bool] = True  # a diagnosis tries it; geometry is always fitted instead
+    on_request: ClassVar[bool] = False  # a diagnosis tries it only if the user names it (`kinds`)
+    through_others: ClassVar[bool] = False  # moves the tip only through other effects: not searched
     aliases: ClassVar[tuple[str, ...]] = ()
+    """Effects that no measurement of the tip can distinguish from it. One of two declares it."""
     limit_aliases: ClassVar[tuple[str, ...]] = ()
+    """Effects that it equals at an end of its form's scale or of a parameter's bounds.
+
+    Studies accept either name there.
+    """
     free_levels: ClassVar[int] = 0
+    """For an effect that depends only on the position of one turning joint: number of positions at
+    which it can take any values, together with the joint's zero.  On a grid with no more positions
+    it imitates every other such function."""
     displaces_joint: ClassVar[bool] = False
-    stepped: ClassVar[bool] = False
-    bends_beams: ClassVar[bool] = False
+    """Whether its only parameter displaces one joint. Its column is then the motion of the tip by
+    any displacement of that joint, and structure is sought along it."""
+    stepped: ClassVar[bool] = False  # has steps of a size that a scan finds (`of_step`)
+    bends_beams: ClassVar[bool] = False  # computes the bending of the declared beams
     acts: ClassVar[Drive] = "arm"
+    """Where it acts. An encoder at the motor sees effects at the ``servo``, one at the joint also
+    those at the ``gear``; no encoder sees those at the ``arm``."""
 
     @classmethod
     def heading(cls) -> str:
@@ -146,10 +121,7 @@ class _Term:
 
     @classmethod
     def allowed_places(cls) -> Mapping[str, Places]:
-        """Return, by place field, the function of an arm that lists the allowed values.
-
-        Fields that allow any text are left out.
-        """
+        """Return the function of an arm that lists a place field's values, if not any text."""
         return {name: known for name, known in metadata(cls, PLACE).items() if known}  # type: ignore[arg-type]
 
     @classmethod
@@ -159,19 +131,16 @@ class _Term:
 
     @property
     def places(self) -> dict[str, Any]:
-        return self._values(PLACE)
+        return {name: getattr(self, name) for name in metadata(type(self), PLACE)}  # type: ignore[arg-type]
 
     @property
     def forms(self) -> dict[str, Any]:
-        return self._values(FORM)
+        return {name: getattr(self, name) for name in metadata(type(self), FORM)}  # type: ignore[arg-type]
 
     @property
     def placement(self) -> dict[str, Any]:
         """Values of the place and form fields."""
         return {**self.places, **self.forms}
-
-    def _values(self, role: str) -> dict[str, Any]:
-        return {name: getattr(self, name) for name in metadata(type(self), role)}  # type: ignore[arg-type]
 
     @property
     def where(self) -> str:
@@ -211,10 +180,10 @@ class _Term:
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
-        """Return the places on an arm, each as values by place field.
+        """Return the places on an arm, each as values by place field (one `{}` if it has none).
 
-        For an effect without place fields it is one empty mapping. The list is empty if the arm
-        lacks the `part`, or if a place may be any text: then the rows of a session name the places.
+        The list is empty if the arm lacks the `part`, or if a place may be any text: then the rows
+        of a session name the places.
         """
         allowed = cls.allowed_places()
         absent = cls.part and not getattr(arm, cls.part)
@@ -225,7 +194,7 @@ class _Term:
 
     @classmethod
     def candidates(cls, arm: Arm) -> list[tuple[Self, ...]]:
-        """Return the candidates of a diagnosis, each a group of instances that are fitted together.
+        """Return the groups of instances that a diagnosis fits together.
 
         By default each is one instance: every place of `sites` in every form that is tried.
         """
@@ -241,12 +210,7 @@ class _Term:
 
     @classmethod
     def of_step(cls, arm: Arm, row: int, step: float) -> Self:
-        """Return the instance of a `stepped` effect at a joint, with steps of a size.
-
-        Args:
-            row: row id of the joint.
-            step: rad or m.
-        """
+        """Return the instance of a `stepped` effect at a joint (row id), with a step (rad, m)."""
         raise NotImplementedError(cls.name)
 
     def step(self, arm: Arm) -> float:
@@ -256,17 +220,13 @@ class _Term:
     def price(self, arm: Arm) -> float:
         """Return the log of the number of alternatives from which this instance was chosen.
 
-        Alternatives that `candidates` lists one by one do not count. The result is subtracted from
-        the log prior of the instance.
+        Those that `candidates` lists do not count. It is subtracted from the log prior.
         """
         return 0.0
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the circumstances that this instance reads: per-joint fields and columns.
-
-        What it explains varies with them and with its joints.
-        """
+        """Names of the circumstances that this instance reads: per-joint fields and columns."""
         return self.needs
 
     def history_joints(self, arm: Arm) -> tuple[int, ...]:
@@ -274,11 +234,7 @@ class _Term:
         return ()
 
     def check(self, arm: Arm, where: str) -> None:
-        """Raise `InputError` if its fields are not valid on an arm.
-
-        Args:
-            where: the source of the fields, as the error names it.
-        """
+        """Raise `InputError` if its fields, from `where`, are not valid on an arm."""
 
     def missing(self, context: Context) -> str:
         """Return the name of the first column that it reads and the context lacks, or ""."""
@@ -305,10 +261,7 @@ class Effect(_Term, ABC):
         return [()] * posture.count
 
     def sure_sides(self, posture: Posture) -> Mapping[int, Scalar]:
-        """Return the side of arrival at which the effect is known best, by commanded joint.
-
-        Joints are 0-based. +1: from below, -1: from above, 0: either.
-        """
+        """Return the surest side of arrival (+-1; 0: either) by commanded joint (0-based)."""
         return {}
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -316,11 +269,7 @@ class Effect(_Term, ABC):
         return ()
 
     def gravity(self, gravity: Vec) -> Vec:
-        """Return gravity in the base frame (m/s^2) with this effect.
-
-        Args:
-            gravity: gravity without this effect.
-        """
+        """Return gravity (m/s^2, base frame) with this effect, from that without it."""
         return gravity
 
     def base(self, arm: Arm) -> Frame | None:
@@ -341,18 +290,15 @@ class Effect(_Term, ABC):
 
 @dataclass(frozen=True)
 class Bias(_Term, ABC):
-    """A measuring-side cause. It moves the *seen* point, not the arm, and is never compensated.
-
-    Attributes:
-        sees: names of the kinds of measurement (`core/data/kinds.py`) on which it acts.
-        instruments: the instruments (`measuring` in arm.yaml) that may have it, each with its
-            own text for `action`, or "" for `action` itself. Empty: all instruments.
-    """
+    """A measuring-side cause. It moves the *seen* point, not the arm, and is never compensated."""
 
     whole: ClassVar[str] = "measuring side"
     commandable: ClassVar[bool] = False
     sees: ClassVar[frozenset[str]] = frozenset({"position", "orientation"})
+    """Names of the kinds of measurement (`core/data/kinds.py`) on which it acts."""
     instruments: ClassVar[Mapping[Instrument, str]] = {}
+    """The instruments (`measuring` in arm.yaml) that may have it, each with its own text for
+    `action`, or "" for `action` itself. Empty: all instruments."""
 
     @classmethod
     def of_instrument(cls, arm: Arm) -> bool:
@@ -367,29 +313,20 @@ class Bias(_Term, ABC):
         """Return the point that is reported for a tip at `point`, both (3,) m in the base frame."""
 
     def read(self, value: Scalar, row: int) -> Scalar:
-        """Return the reading of the encoder of a row's joint.
-
-        Args:
-            value: the joint value that the encoder would read without this cause, rad or m.
-            row: row id.
-        """
+        """Return what the encoder of a row's joint reads where it should read `value` (rad, m)."""
         return value
 
     def seen_pose(self, tip: Frame, context: Context, arm: Arm) -> Frame:
         """Return the reported pose of a tip.
 
-        By default its axes move with the points around the tip. They may have other lengths and
-        angles than unit vectors, because a scale error stretches them.
+        By default its axes move with the points 10 mm around the tip. They may have other lengths
+        and angles than unit vectors, because a scale error stretches them.
         """
 
         def axis(direction: Vec) -> Vec:
-            half = spatial.scale(_AROUND, direction)
+            half = spatial.scale(0.01, direction)
             ahead = self.seen(spatial.add(tip.p, half), context, arm)
             behind = self.seen(spatial.sub(tip.p, half), context, arm)
-            return spatial.scale(0.5 / _AROUND, spatial.sub(ahead, behind))
+            return spatial.scale(0.5 / 0.01, spatial.sub(ahead, behind))
 
         return Frame(axis(tip.n), axis(tip.o), axis(tip.a), self.seen(tip.p, context, arm))
-
-
-_AROUND = 0.01
-"""Distance (m) from the tip of the two points that define a seen axis."""

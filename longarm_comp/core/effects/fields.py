@@ -11,9 +11,6 @@ from typing import Any
 
 from longarm_comp.core.arm.arm import Arm
 
-_FLAT = 1000.0
-"""Width of the fit's prior of an unknown parameter over `prior`: 50 m and 50 rad for a base."""
-
 ALIKE = 0.95
 """Prior correlation of parameters that are like each other: they differ by a third of their size.
 
@@ -23,35 +20,27 @@ Of seven seats of first joints of real arms, five have two compliances within a 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect: unit, meaning, prior standard deviation and physical bounds.
-
-    Attributes:
-        unit: SI.
-        meaning: description in a few words.
-        prior: standard deviation of plausible values; 0 means fixed at its value.
-        lower, upper: physical bounds.
-        unknown: nothing is known in advance, so the fit's prior is made so wide that it has no
-            influence.
-        like: name of a group of parameters of one effect that are probably nearly equal (`ALIKE`).
-            It matters where explanations are compared; in a fit each is independent.
-        usual: standard deviation of the values that every arm has. These are no finding, and they
-            are never fitted.
-    """
+    """One number of an effect: unit, meaning, prior standard deviation and physical bounds."""
 
     name: str
-    unit: str
-    meaning: str
-    prior: float
-    lower: float = -math.inf
+    unit: str  # SI
+    meaning: str  # in a few words
+    prior: float  # standard deviation of plausible values; 0 means fixed at its value
+    lower: float = -math.inf  # physical bound
     upper: float = math.inf
-    unknown: bool = False
+    unknown: bool = False  # nothing is known in advance: the fit's prior has no influence
     like: str = ""
+    """Name of a group of parameters of one effect that are probably nearly equal (`ALIKE`).
+
+    It matters where explanations are compared; in a fit each is independent.
+    """
     usual: float = 0.0
+    """Standard deviation of the values that every arm has: no finding, and never fitted."""
 
     @property
     def width(self) -> float:
-        """Standard deviation of the fit's prior."""
-        return _FLAT * self.prior if self.unknown else self.prior
+        """Standard deviation of the fit's prior: 50 m and 50 rad for a base of unknown place."""
+        return 1000.0 * self.prior if self.unknown else self.prior
 
 
 PARAMETER, PLACE, FORM, TRIED = "parameter", "place", "form", "tried"
@@ -60,14 +49,8 @@ Places = Callable[[Arm], Sequence[int] | Sequence[str]]
 
 @cache
 def metadata(kind: type[Any], role: str) -> dict[str, Any]:
-    """Return the declarations of the fields of one role, by field name.
-
-    Args:
-        kind: class of the effect.
-        role: `PARAMETER`, `PLACE`, `FORM` or `TRIED`.
-    """
-    declared = dataclasses.fields(kind)
-    return {f.name: f.metadata[role] for f in declared if role in f.metadata}
+    """Return what an effect's class declares of the fields of one role, by field name."""
+    return {f.name: f.metadata[role] for f in dataclasses.fields(kind) if role in f.metadata}
 
 
 def parameter(

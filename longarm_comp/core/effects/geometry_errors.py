@@ -82,10 +82,7 @@ class DhError(Effect):
     theta: float = parameter("rad", "angle error about z_i", prior=4e-3)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters, with the row's tolerances as priors.
-
-        The prior of the joint variable itself is 0, so this parameter is not fitted.
-        """
+        """Return the parameters, with the row's tolerances as priors (0 for the joint variable)."""
         joint = arm.joints[self.row - 1]
         held = joint.tolerance
         a, d = held.a_m or 1e-3, held.d_m or 1e-3
@@ -210,10 +207,7 @@ class KindDirection(Effect):
         return any(term.loaded for term in self.terms)
 
     def twists(self, posture: Posture) -> Twists:
-        """Return `amount` times the sum of the twists of its terms.
-
-        This is exact because the twists are linear in the values of the terms.
-        """
+        """Return `amount` times the sum of its terms' twists, which are linear in their values."""
         return spatial.sum_twists(
             {s: tuple(self.amount * v for v in t) for s, t in term.twists(posture).items()}  # type: ignore[misc]
             for term in self.terms

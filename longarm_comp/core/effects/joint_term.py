@@ -21,21 +21,14 @@ _RESTING = 1e-6  # N m: a vertical axis carries no torque but for rounding
 
 @dataclass(frozen=True)
 class JointTerm(Effect):
-    """An effect at one row's joint.
+    """An effect at one row's joint."""
 
-    Attributes:
-        joint: row id.
-        actions: texts that replace `action`, by the joint's `drive` in arm.yaml.
-        types: the joint types that may have it, unless `fits` is overridden.
-        passive: whether every movable joint may have it, whatever its type, even a passive one.
-    """
-
-    actions: ClassVar[Mapping[str, str]] = {}
-    types: ClassVar[tuple[str, ...]] = ("revolute",)
-    passive: ClassVar[bool] = False
+    actions: ClassVar[Mapping[str, str]] = {}  # replace `action`, by the joint's `drive`
+    types: ClassVar[tuple[str, ...]] = ("revolute",)  # that may have it, unless `fits` says which
+    passive: ClassVar[bool] = False  # every movable joint may have it, even a passive one
     acts: ClassVar[Drive] = "gear"
 
-    joint: int = place(moving_joints)
+    joint: int = place(moving_joints)  # row id
 
     @classmethod
     def fits(cls, arm: Arm, row: int) -> bool:
@@ -93,20 +86,14 @@ class JointTerm(Effect):
         return self._history(posture, "approach")[0]
 
     def last_way(self, posture: Posture) -> Scalar:
-        """Return the signed displacement (rad, m) since the joint last stood still or reversed.
-
-        It is 0 if it did not move or this is not known.
-        """
+        """Return the displacement (rad, m) since it last stood still or reversed; 0: unknown."""
         return self._history(posture, "last_way")[0]
 
     def wound(self, posture: Posture, radius: float) -> Scalar:
         """Return the state of a play operator driven by the joint's history, from -1 to +1.
 
-        +1 means that the joint moved up by at least the full play, -1 down.  If the known history
-        does not determine the state, it is the middle of the possible range.
-
-        Args:
-            radius: half of the play, rad or m.
+        +1 means that the joint moved up by at least the full play, twice the `radius` (rad, m).  If
+        the known history does not determine the state, it is the middle of the possible range.
         """
 
         def compute() -> Scalar:
@@ -169,19 +156,12 @@ def joint_load(posture: Posture, joint: int) -> Scalar:
     """Compute gravity's torque (N m) about a joint's z axis, or its force (N) along a slide.
 
     It follows from virtual work, so it includes the loads of all rows that move with the joint.
-
-    Args:
-        joint: row id.
     """
     return row_loads(posture, posture.chain.coupled_rows(joint))
 
 
 def row_loads(posture: Posture, rows: Iterable[tuple[int, float]]) -> Scalar:
-    """Compute gravity's work per unit of a common motion of some rows, N m or N.
-
-    Args:
-        rows: row ids, each with its motion per unit of the common motion.
-    """
+    """Compute gravity's work per unit of a common motion, N m or N, of rows (`coupled_rows`)."""
     total: Scalar = 0.0
     for row, weight in rows:
         station = posture.bearing(row)

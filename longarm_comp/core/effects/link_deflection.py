@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from longarm_comp.core.arm import stacked
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.posture import Element, Posture, Twists, compute_loads
+from longarm_comp.core.arm.posture import Element, Posture, Twists, compute_loads, sign_of
 from longarm_comp.core.arm.spatial import Frame, Scalar, Twist, Vec, absolute
 from longarm_comp.core.effects.effect import Effect, Sites
 
@@ -35,26 +35,16 @@ class LinkDeflection(Effect):
         return []
 
     def twists(self, posture: Posture) -> Twists:
-        return {e.station: cantilever(posture, e) for e in elements(posture)}
+        return {e.station: cantilever(posture, e) for e in posture.chain.elements}
 
 
 def extra_sag(posture: Posture, share: Scalar, beam: str = "") -> Twists:
-    """Return a fraction of the declared cantilever twists, by station, of one beam or of all.
-
-    Args:
-        share: the fraction, one for all rows or one for each.
-        beam: name of the beam; empty for all.
-    """
+    """Return a fraction of the declared cantilever twists by station; `beam` "": of all beams."""
     return {
         e.station: tuple(share * t for t in cantilever(posture, e))  # type: ignore[misc]
-        for e in elements(posture)
+        for e in posture.chain.elements
         if not beam or e.beam.name == beam
     }
-
-
-def elements(posture: Posture) -> Iterator[Element]:
-    """Yield the elements of all declared beams, from the base to the tip."""
-    return (e for row in posture.chain.rows for e in row.elements_a + row.elements_d)
 
 
 def cantilever(posture: Posture, element: Element) -> Twist:
@@ -72,6 +62,7 @@ def cantilever(posture: Posture, element: Element) -> Twist:
     foreshortening, half the integral of the slope squared, is 0.4 ``theta d`` under an end force
     (a third under an end moment, 0.43 under dead weight), so a tenth is added back.
     """
+    # once per posture, because several effects use them
     return posture.once(("cantilevers",), lambda: _compute_cantilevers(posture))[element.station]
 
 
@@ -79,10 +70,10 @@ def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
     """Compute the twists of all elements, by station; similar elements are stacked."""
     kinds: dict[tuple, dict[tuple[int, int], tuple[Scalar, ...]]] = {}
     masses, firsts = posture.carried_masses
-    for e in elements(posture):
+    for e in posture.chain.elements:
         length, sign, inverse = _describe_beam(posture, e)
-        spread = posture.line_loads[e.station]
-        frame, at = posture.frames[e.station], e.station
+        at, spread = e.station, posture.line_loads[e.station]
+        frame = posture.frames[at]
         n, o, a = _beam_axes(e.axis, frame[:3])
         carried = (*n, *o, *a, *frame.p, masses[at], *firsts[at])
         kind = sign, tuple(h is length for _, h in spread)
@@ -116,7 +107,6 @@ def _cantilever(
             this length is the whole element.
     """
     gravity, force, moment = felt
-
     # moments of w = 1 over the last h: integrals of M(s) and of M(s) (l - s)
     slope_w: Scalar = 0.0
     sag_w: Scalar = 0.0
@@ -141,11 +131,9 @@ def _cantilever(
 
 
 def bent(posture: Posture, element: Element, force: Vec, moment: Vec) -> Twist:
-    """Compute the twist at the end of a beam element under an end load, to first order.
+    """Compute the twist at the end of a beam element under an end load (N, N m), to first order.
 
-    Args:
-        force: N, in the axes of the element's station.
-        moment: N m, in the same axes.
+    Load and twist are in the axes of the element's station.
     """
     length, sign, inverse = _describe_beam(posture, element)
     ends = (_beam_axes(element.axis, v) for v in (force, moment))
@@ -161,9 +149,8 @@ def _describe_beam(
     The two EI are about the first and the second transverse axis.
     """
     signed = posture.lengths[element.station]
-    sign = -1.0 if type(signed) is float and signed < 0 else 1.0
     first, second, torsion = element.beam.stiffness
-    return absolute(signed), sign, (1 / torsion, 1 / first, 1 / second)
+    return absolute(signed), sign_of(signed), (1 / torsion, 1 / first, 1 / second)
 
 
 def _beam_axes(axis: int, of_frame: tuple[_T, _T, _T]) -> tuple[_T, _T, _T]:
@@ -185,12 +172,7 @@ def _across(sign: float, v: Vec) -> tuple[Scalar, Scalar]:
 def _end_loaded(
     length: Scalar, sign: float, force: Vec, moment: Vec
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Integrate the moment ``M(s)`` of end loads along the element, for the slope and the sag.
-
-    Returns:
-        The integrals of ``M(s)`` about all three axes, and those of ``M(s) (l - s)`` about the two
-        transverse axes.
-    """
+    """Integrate ``M(s)`` of end loads about all axes, and ``M(s) (l - s)`` about the transverse."""
     l1, l2, l3 = length, 0.5 * length * length, length * length * length / 3
     slope: list[Scalar] = [l1 * m for m in moment]
     sag: list[Scalar] = []

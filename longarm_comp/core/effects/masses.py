@@ -36,10 +36,7 @@ class TipPayload(_Weight):
     mass: float = parameter("kg", "mass beyond the declared payload", prior=0.1)
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameter, with a tenth of the arm's mass as prior.
-
-        Its lower bound is minus the declared payload, so the total is never negative.
-        """
+        """Return the parameter; its lower bound is minus the declared payload."""
         weight = typical_loads(arm).force / 9.81
         held = arm.payload.mass_kg if arm.payload else 0.0
         return self.with_prior(max(0.1 * weight, 1e-6), lower=-held)
@@ -96,9 +93,7 @@ class UndeclaredWeight(_Weight):
     through_others = True
 
     tip: float = parameter("kg", "what weighs at the tip, not along the links", 0.3, lower=0.0)
-    guides: float = parameter(
-        "kg", "mass a metre of what every slide moves in", prior=1.0, lower=0.0
-    )
+    guides: float = parameter("kg", "mass a metre of what every slide moves in", 1.0, lower=0.0)
 
     @classmethod
     def sites(cls, arm: Arm) -> Sites:
@@ -144,7 +139,6 @@ class UndeclaredDrive(_Weight):
         return [] if arm.declares_weight else [{"joint": row} for row in moving_joints(arm)]
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameter; its prior is an equal part (kg) for each joint and the tip."""
         return self.with_prior(_share(arm))
 
     def masses(self, posture: Posture) -> tuple[Lumped, ...]:
@@ -153,6 +147,7 @@ class UndeclaredDrive(_Weight):
 
 
 def _share(arm: Arm) -> float:
+    """Return the prior of a weight: an equal part (kg) for each joint and the tip."""
     return arm.usual_mass_kg / (len(moving_joints(arm)) + 1)
 
 

@@ -183,10 +183,7 @@ class AnchorPlace(Bias):
         return [{"anchor": k} for k, v in arm.anchors.items() if v.xyz_m is None]
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip less the displacement of the anchor, m, in rows that measure to it.
-
-        So the distance to the declared place equals that to the true one.
-        """
+        """Return the tip less the anchor's displacement (m), in rows that measure to it."""
         mine = context.is_label("anchor", self.anchor)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 

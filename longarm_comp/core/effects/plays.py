@@ -159,13 +159,12 @@ class TelescopeClearance(JointTerm):
         return arm.joints[row - 1].type == "prismatic" and _slider(arm, row) is not None
 
     def parameters(self, arm: Arm) -> tuple[Parameter, ...]:
-        """Return the parameters.
+        """Return the parameters; the prior of `give` tilts the beam by 3 mrad.
 
-        The prior of `give` is the value that tilts the beam by 3 mrad at the arm's typical torque
-        and an overlap of half the body.
+        That is at the arm's typical torque and an overlap of half the body.
         """
         slider = _slider(arm, self.joint)
-        body = slider.body_length_m if slider and slider.body_length_m else 1.0
+        body = (slider and slider.body_length_m) or 1.0
         clearance, give = self.declared()
         prior = 3e-3 * (body / 2) ** 2 / typical_loads(arm).torque
         return clearance, dataclasses.replace(give, prior=prior)
@@ -190,11 +189,7 @@ class TelescopeClearance(JointTerm):
 
 
 def _slider(arm: Arm, row: int) -> Beam | None:
-    """Return the beam of a row that slides inside the beam before it; None if there is none.
-
-    It has ``length: rest`` and a body length in arm.yaml, and its body overlaps the beam before it
-    over the whole range of the joint.
-    """
+    """Return the beam of a row whose body overlaps the beam before it over the joint's range."""
     beams = [b for b in arm.links if b.row == row and b.role == "d"]
     joint = arm.joints[row - 1]
     for beam in beams[1:]:

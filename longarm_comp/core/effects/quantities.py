@@ -44,26 +44,16 @@ class SeenPoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Quantity(ABC):
-    """A quantity of a posture or of a seen point.
+    """A quantity of a posture or of a seen point."""
 
-    Attributes:
-        pattern: regular expression of its names.
-        si: its SI unit; ``1`` for none.
-        plain: whether a cause is likely to depend on it directly.
-        inputs: fields of the circumstances that it reads.
-        resolution: range, in its unit, below which its variation is only the arm's tolerance.
-        numbers: numbers in its name: joints, rows.
-        axis: 0, 1 or 2 for the axis in its name; 0 if there is none.
-    """
+    pattern: ClassVar[str]  # regular expression of its names
+    si: ClassVar[str] = "1"  # its SI unit; ``1`` for none
+    plain = True  # whether a cause is likely to depend on it directly
+    inputs: ClassVar[tuple[str, ...]] = ()  # fields of the circumstances that it reads
+    resolution: ClassVar[float] = 0.0  # range below which it varies only by the arm's tolerance
 
-    pattern: ClassVar[str]
-    si: ClassVar[str] = "1"
-    plain = True
-    inputs: ClassVar[tuple[str, ...]] = ()
-    resolution: ClassVar[float] = 0.0
-
-    numbers: tuple[int, ...] = ()
-    axis: int = 0
+    numbers: tuple[int, ...] = ()  # in its name: joints, rows
+    axis: int = 0  # 0, 1 or 2 for the axis in its name; 0 if there is none
 
     @abstractmethod
     def read(self, at: Any) -> Scalar:
@@ -116,21 +106,22 @@ class JointLoad(_OfJoint):
         return joint_load(posture, posture.arm.commanded[self.joint])
 
 
-class JointSide(_OfJoint):
+class OfHistory(_OfJoint):
+    """A history field of a commanded joint."""
+
+    def read(self, posture: Posture) -> Scalar:
+        return posture.context.of_joint(self.inputs[0], self.joint)[0]
+
+
+class JointSide(OfHistory):
     pattern = r"side_(\d+)"
     inputs = ("approach",)
 
-    def read(self, posture: Posture) -> Scalar:
-        return posture.context.of_joint("approach", self.joint)[0]
 
-
-class JointWay(_OfJoint):
+class JointWay(OfHistory):
     pattern = r"way_(\d+)"
     si, of_slide = "rad", "m"
     inputs = ("last_way",)
-
-    def read(self, posture: Posture) -> Scalar:
-        return posture.context.of_joint("last_way", self.joint)[0]
 
 
 class LoadSum(OfPosture):
@@ -230,16 +221,13 @@ class Recorded(Quantity):
 
 
 _UNITS = {"t_s": "s", "temperature_c": "K", "payload_kg": "kg"}
-_KINDS: tuple[type[Quantity], ...] = (
-    *(JointPosition, JointLoad, JointSide, JointWay, LoadSum),
-    *(Warmth, Moment, Gravity, Span, SeenCoordinate),
-)
+_OF_ARM = (JointPosition, JointLoad, JointSide, JointWay, LoadSum, Warmth, Moment, Gravity, Span)
 
 
 @lru_cache(maxsize=4096)
 def quantity(name: str) -> Quantity | None:
     """Return the quantity with a name; None if the name is not valid."""
-    for kind in _KINDS:
+    for kind in (*_OF_ARM, SeenCoordinate):
         found = re.fullmatch(kind.pattern, name)
         if found:
             letters = [text for text in found.groups() if text in AXES]

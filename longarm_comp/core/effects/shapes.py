@@ -28,17 +28,10 @@ _MOST_ORDER = 8
 """Highest order of a polynomial; a higher one would fit the noise of a few hundred poses."""
 LARGEST = 1e9
 """Largest number that a function or a domain may hold."""
-_LOOKS = 33
-"""Number of points over its range at which a shape is evaluated to find its variation."""
 
 
 class FunctionError(ValueError):
-    """A text is not a valid function or domain.
-
-    Attributes:
-        value: the part that is wrong.
-        allowed: what is allowed instead.
-    """
+    """A text is not a valid function or domain: `value` is wrong, `allowed` is allowed instead."""
 
     def __init__(self, value: object, allowed: str) -> None:
         super().__init__(f"{value}: {allowed}")
@@ -47,22 +40,14 @@ class FunctionError(ValueError):
 
 @dataclass(frozen=True)
 class Shape(ABC):
-    """A function of one quantity.
+    """A function of one quantity."""
 
-    Attributes:
-        word: its name in a text.
-        power: the unit of a value is that of the quantity to this power.
-        written: format string of the formula.
-        of: name of the quantity.
-        low, high: range of the quantity in the data.
-    """
+    word: ClassVar[str]  # its name in a text
+    power = 0  # the unit of a value is that of the quantity to this power
+    written = "{of}"  # format string of the formula
 
-    word: ClassVar[str]
-    power = 0
-    written = "{of}"
-
-    of: str
-    low: float
+    of: str  # name of the quantity
+    low: float  # range of the quantity in the data
     high: float
 
     @property
@@ -85,7 +70,7 @@ class Shape(ABC):
         It is the variation of the value over the range, times the distance of x from the range over
         the length of the range; 0 inside.
         """
-        varies = np.ptp(self.value(np.linspace(self.low, self.high, _LOOKS)))
+        varies = np.ptp(self.value(np.linspace(self.low, self.high, 33)))
         beyond = np.maximum(np.maximum(self.low - x, x - self.high), 0.0)
         return np.asarray(varies * beyond / (self.high - self.low))
 
@@ -258,11 +243,7 @@ class Function:
     factors: tuple[Shape, ...] = ()
 
     def value(self, read: Callable[[Quantity], Scalar]) -> Scalar:
-        """Compute the product of its shapes.
-
-        Args:
-            read: returns the value of a quantity.
-        """
+        """Compute the product of its shapes; `read` returns the value of a quantity."""
         return math.prod((f.at(read(f.quantity)) for f in self.factors), start=1.0)
 
     def change_beyond(self, read: Callable[[Quantity], Scalar]) -> np.ndarray:

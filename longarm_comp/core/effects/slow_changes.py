@@ -25,10 +25,7 @@ def slowing() -> float:
 def change_so_far(context: Context, slowing: float) -> Scalar:
     """Return the size of a change at the present time, over its size after the first hour.
 
-    It is ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, with t in hours.
-
-    Args:
-        slowing: one over the time constant, 1/h; 0 for a constant rate.
+    It is ``(1 - exp(-slowing t)) / (1 - exp(-slowing))``, or t in hours where slowing (1/h) is 0.
     """
     hours: Scalar = context.column(CLOCK, 0.0) / 3600.0
     return np.expm1(-slowing * hours) / np.expm1(-slowing) if slowing else hours

@@ -37,21 +37,13 @@ class TouchPlace(Bias):
     z: float = parameter("m", "place of the point", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip less the point, m, in rows that touched it or a point that it carries.
-
-        In other rows it returns the tip.
-        """
+        """Return the tip less the point, m, in rows that touched it or a point that it carries."""
         mine = rows_that_touched(context, self.touch, self.carries)
         return spatial.sub(point, spatial.scale(mine, (self.x, self.y, self.z)))
 
 
 def rows_that_touched(context: Context, name: str, carries: str) -> Scalar:
-    """Return 1 in rows that touched a point or one that it carries, else 0.
-
-    Args:
-        name: the point.
-        carries: names of the points that it carries, one per line.
-    """
+    """Return 1 in rows that touched a point or one that it carries (one name a line), else 0."""
     mine = context.is_label("touch", name)
     for further in carries.splitlines():
         mine = mine + context.is_label("touch", further)
@@ -93,11 +85,7 @@ class TouchBeside(Bias):
         return (*turn, dataclasses.replace(stretch, prior=self.tolerance))
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip less the vector from the other point to this one, m.
-
-        In rows that touched neither this point nor one that it carries, the tip is returned. The
-        term of the other point subtracts that point's own position.
-        """
+        """Return the tip less the way from the other point, m, as `TouchPlace` does."""
         turn = spatial.exp_large((0.0, 0.0, 0.0, self.rx, self.ry, self.rz))
         way = spatial.scale(self.distance + self.stretch, turn.rotate((1.0, 0.0, 0.0)))
         mine = rows_that_touched(context, self.touch, self.carries)
@@ -125,10 +113,7 @@ class PlanePlace(Bias):
     ry: float = parameter("rad", "turn of the plane", 0.05, unknown=True)
 
     def seen(self, point: Vec, context: Context, arm: Arm) -> Vec:
-        """Return the tip in the plane's axes, m: z is the height above the plane.
-
-        This holds for rows that touched the plane; in other rows it returns the tip.
-        """
+        """Return the tip in the plane's axes, m, in rows that touched it: z is its height above."""
         mine = context.is_label("plane", self.plane)
         turn = spatial.exp_large((0.0, 0.0, 0.0, mine * self.rx, mine * self.ry, 0.0))  # type: ignore[arg-type]
         x, y, z = turn.transform(point)

@@ -18,34 +18,26 @@ _POSES = 64
 _PAYLOAD = 0.3
 """Assumed payload over the arm's own weight: WAM and Panda have 0.15, iiwa and Gen3 0.5."""
 
-_LEAST = 0.01
-"""Smallest moment for which a place is assumed to be built, over the largest one."""
-
 
 class TypicalLoads(NamedTuple):
-    """The size of an arm's loads.
+    """The size of an arm's loads."""
 
-    Attributes:
-        force: the arm's weight, N.
-        torque: the typical torque of the arm, N m: a quarter of weight times reach, or the RMS
-            moment at the most loaded joint over random poses if it is less, because a heavy base
-            loads no joint. It is always the quarter if the arm declares no weight, or if the
-            place of a mass is recorded (`position_columns`).
-        shares: by row, the moment for which the bearing of this row is built, over the largest
-            of them: the RMS moment of the arm's own weight and of a payload (`_PAYLOAD`).
-    """
-
-    force: float
+    force: float  # the arm's weight, N
     torque: float
+    """The typical torque of the arm, N m: a quarter of weight times reach, or the RMS moment at the
+    most loaded joint over random poses if it is less, because a heavy base loads no joint. It is
+    always the quarter if the arm declares no weight, or if the place of a mass is recorded
+    (`position_columns`)."""
     shares: tuple[float, ...]
+    """By row, the moment for which the bearing of this row is built, over the largest of them: the
+    RMS moment of the arm's own weight and of a payload (`_PAYLOAD`)."""
 
     def at(self, row: int) -> float:
         """Return the torque (N m) that the stiffness of the part at a row is assumed to scale with.
 
         It is the geometric mean of the arm's typical torque and that of the place: parts are as
-        stiff as they are strong, but an arm has only few sizes of them. It gives the smallest
-        errors on real arms (`longarm study real`): WAM 2.15 mm (2.28 with the torque of the place
-        alone), iiwa 14 0.147 (0.156).
+        stiff as they are strong, but an arm has only few sizes of them. With it errors of real arms
+        are smallest (`longarm study real`): WAM 2.15 mm (2.28 with the torque of the place alone).
         """
         return self.torque * math.sqrt(self.shares[max(row - 1, 0)])
 
@@ -72,7 +64,7 @@ def typical_loads(arm: Arm) -> TypicalLoads:
             own = np.array([_rms(posture.moment(at)) for at in bearings])
             torque = min(torque, max(own[row - 1] for row in arm.commanded))
             built = built + own
-        shares = np.maximum(built / max(built.max(), 1e-12), _LEAST)
+        shares = np.maximum(built / max(built.max(), 1e-12), 0.01)  # no place is built for less
         loads = TypicalLoads(max(force, 1e-9), max(torque, 1e-9), tuple(shares.tolist()))
         _loads_of[arm.hash] = loads
     return _loads_of[arm.hash]

@@ -22,9 +22,5 @@ _READ = {**_PER, "1": (100.0, "%")}
 
 
 def in_names(text: str, called: Mapping[str, str]) -> str:
-    """Replace the joints, rows and frames in a text by their readable names.
-
-    Args:
-        called: `Arm.names_for_people`.
-    """
+    """Replace joints, rows and frames in a text by their names (`Arm.names_for_people`)."""
     return _PLACE.sub(lambda found: called.get(found[0], found[0]), text)

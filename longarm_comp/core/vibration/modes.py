@@ -23,7 +23,6 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.measuring import VISIBLE_M
 from longarm_comp.core.arm.posture import LineLoads, Lumped, Posture
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
-from longarm_comp.core.effects.link_deflection import elements
 from longarm_comp.core.ik.kernel import rigid_jacobian
 from longarm_comp.core.model.model import Model, unstack
 
@@ -133,7 +132,7 @@ class _Pushed(Posture):
 
     @cached_property
     def line_loads(self) -> LineLoads:
-        return {e.station: [] for e in elements(self)}
+        return {e.station: [] for e in self.chain.elements}
 
 
 def _flexibility(model: Model, posture: Posture, points: list[Lumped], postures: int) -> np.ndarray:

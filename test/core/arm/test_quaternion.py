@@ -15,7 +15,9 @@ HALF_TURNS = Rotation.from_rotvec(np.pi * np.eye(3))
 @pytest.mark.parametrize("turn", [*TURNS, *HALF_TURNS, Rotation.identity()])
 def test_matrix_and_back(turn: Rotation) -> None:
     q = turn.as_quat()
-    np.testing.assert_allclose(quaternion.compute_rotation(q), turn.as_matrix(), atol=1e-12)
+    pose = quaternion.compute_pose(np.array([1.0, 2.0, 3.0]), q)
+    np.testing.assert_allclose(pose[:3, :3], turn.as_matrix(), atol=1e-12)
+    assert pose[:, 3].tolist() == [1, 2, 3, 1] and pose[3, :3].tolist() == [0, 0, 0]
     back = quaternion.from_rotation(turn.as_matrix())
     assert back[3] >= 0
     np.testing.assert_allclose(np.abs(back @ q), 1.0, atol=1e-12)

@@ -47,7 +47,7 @@ def test_context_carries_what_was_recorded(rng: np.random.Generator) -> None:
         columns={"temperature_c": np.linspace(20, 25, 6)},
         labels={"group": ["a", "a", "b", "b", "b", "b"]},
     )
-    context = session.context([1, 4])
+    context = session.context().take(np.array([1, 4]))
     assert np.allclose(context.column("temperature_c"), [21, 24])
     assert context.is_label("group", "b").tolist() == [0.0, 1.0]
     assert np.array_equal(np.stack(context.approach, -1), session.approach[[1, 4]])
@@ -68,6 +68,22 @@ def test_arrays_cannot_be_changed(rng: np.random.Generator) -> None:
         session.q[0, 0] = 1.0
 
 
+def test_the_arrays_that_a_session_is_made_of_stay_the_callers(rng: np.random.Generator) -> None:
+    warmth, distance = np.full(3, 20.0), np.ones((3, 1))
+    labels = {"anchor": np.array(["p", "p", "p"])}
+    readings = {"distance": distance}
+    measured(3, rng, columns={"temperature_c": warmth}, labels=labels, readings=readings)
+    for values in (warmth, distance, labels["anchor"]):
+        assert values.flags.writeable
+
+
+def test_a_reading_that_is_partly_blank_is_called_so(rng: np.random.Generator) -> None:
+    ray = np.array([[0.0, 0.0, 1.0], [0.0, np.nan, 1.0], [np.nan, np.nan, np.nan]])
+    labels = {"sensor": np.array(["left"] * 3)}
+    with pytest.raises(InputError, match=r"row 2, ray_x.*allowed: numbers, or all blank"):
+        measured(3, rng, labels=labels, readings={"ray": ray})
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
@@ -83,6 +99,12 @@ def test_what_is_no_session_is_refused(name: str, value: object, rng: np.random.
     fields = {"q": good.q, "xyz": good.xyz} | {name: value}
     with pytest.raises(InputError):
         Session.record(**fields)  # type: ignore[arg-type]
+
+
+def test_a_history_of_other_rows_is_refused(rng: np.random.Generator) -> None:
+    session = measured(3, rng)
+    with pytest.raises(InputError, match="legs: 'shape"):
+        dataclasses.replace(session, legs=session.legs[:2])
 
 
 def test_hash_follows_the_contents(rng: np.random.Generator) -> None:

@@ -14,6 +14,7 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.arm.parts import Payload
 from longarm_comp.core.data.plan import (
     Plan,
+    from_both_sides,
     grid,
     paper_grid,
     random_targets,
@@ -120,6 +121,16 @@ def test_the_callers_further_draws_do_not_depend_on_the_sides() -> None:
     other.permutation(81)
     other.choice([-1, 1], size=9)
     assert rng.random() == other.random()
+
+
+def test_poses_from_both_sides_keep_their_payload_and_point() -> None:
+    poses = sobol(ARM, 3)
+    plan = dataclasses.replace(poses, payload_kg=np.arange(3.0), touch=np.array(["a", "b", "c"]))
+    twice = from_both_sides(ARM, plan)
+    assert twice.touch is not None and twice.payload_kg is not None
+    assert twice.touch.tolist() == ["a", "a", "b", "b", "c", "c"]
+    assert twice.payload_kg.tolist() == [0, 0, 1, 1, 2, 2]
+    assert (twice.q == np.repeat(poses.q, 2, axis=0)).all()
 
 
 @pytest.mark.parametrize("alike", [False, True])
