@@ -61,10 +61,7 @@ def find_servos(
 
     Args:
         command: name of the command, for error messages.
-        ids: ids to ask, such as ``1-20`` or ``1,2``.
-        timeout: longest wait per id, s.
-        known: port in the servo file, the default of the question.
-        expected: ids in the servo file.
+        known, expected: port (the default of the question) and ids in the servo file.
 
     Raises:
         JobError: no servo answers.
@@ -159,11 +156,7 @@ def set_id(servo_id: int, port: str | None, arm: Path | None, **line: Any) -> No
 
 
 def own_state(folder: Path) -> str:
-    """Return the folder for stops that an arm's servo file names; empty: the user's.
-
-    Raises:
-        InputError: the arm's folder has no servo file.
-    """
+    """Return the folder for stops that an arm's servo file names; empty: the user's."""
     from longarm_comp.arm_folder.parameter_file import read_parameters
     from longarm_comp.arm_folder.servos import SERVOS
 
@@ -174,10 +167,7 @@ def own_state(folder: Path) -> str:
 
 
 def refuse_stopped(state: str, ports: Collection[str], folder: Path | None) -> None:
-    """Raise `JobError` if ports, or the arm in a folder, are stopped or held.
-
-    ``state``: the arm's own folder for stops; empty: the user's.
-    """
+    """Raise `JobError` if ports, or the arm in a folder, are stopped or held by `own_state`."""
     from longarm_comp.devices.state_folder import state_folder
     from longarm_comp.devices.stop_latch import refuse_under_stop
 

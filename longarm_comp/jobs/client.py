@@ -136,10 +136,8 @@ class ArmClient(GraphClient):
         several = "two drivers are on this graph: end one `longarm up`"
         self.until(lambda: count_drivers(self.node) < 2, within_s, several)
 
-        def driver_hears() -> bool:
-            """Tell whether all listeners to commands are matched, and not only kinematics."""
-            topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
-            ends = self.node.get_subscriptions_info_by_topic(topic)
+        def driver_hears() -> bool:  # all listeners to commands are matched, not only kinematics
+            ends = self.node.get_subscriptions_info_by_topic(self._trajectory.topic_name)
             driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
             return driver and self._trajectory.get_subscription_count() >= len(ends)
 
@@ -173,9 +171,7 @@ class ArmClient(GraphClient):
         return self._driver is not None or publishers > 0
 
     def driver_takes(self, *, held: bool = False) -> bool:
-        """Return whether the driver accepts trajectories.
-
-        A driver that publishes no state counts as accepting them.
+        """Return whether the driver accepts trajectories, as one that publishes no state does.
 
         Raises:
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
@@ -229,12 +225,12 @@ class ArmClient(GraphClient):
                 joints do not arrive in time.
         """
         q, tolerance = path[-1], pace.tolerance
-        inside_since: list[tuple[float, np.ndarray]] = []
+        rest: tuple[float, np.ndarray] | None = None  # since when, and where
         stays = (np.abs(path - q) <= tolerance).all()  # no way-point leads away
-        came = start is not None and (np.abs(start - q) > tolerance).any()
-        away = [bool(stays or came)]
+        away = stays or (start is not None and (np.abs(start - q) > tolerance).any())
 
         def there() -> bool:
+            nonlocal rest, away
             self.driver_takes()
             if self._refused:
                 raise JobError(f"the driver refused the move: {self._refused}")
@@ -246,13 +242,13 @@ class ArmClient(GraphClient):
             inside = q_now is not None and bool(
                 (np.abs(q_now - q) <= tolerance).all() or (np.abs(q - end) < SAME_POSE).all()
             )
-            away[0] |= not inside or self._reached  # a passage may be too short to be heard of
-            if not inside or not away[0] or q_now is None:
-                inside_since.clear()
-            elif not inside_since or (np.abs(q_now - inside_since[0][1]) > JOINT_REST).any():
-                inside_since[:] = [(time.monotonic(), q_now)]  # it may move within a wide tolerance
+            away |= not inside or self._reached  # a passage may be too short to be heard of
+            if not inside or not away or q_now is None:
+                rest = None
+            elif rest is None or (np.abs(q_now - rest[1]) > JOINT_REST).any():
+                rest = time.monotonic(), q_now  # it may move within a wide tolerance
             rest_s = max(pace.dwell_s, TOLD_S) if self._under_way else pace.dwell_s
-            return bool(inside_since) and time.monotonic() - inside_since[0][0] >= rest_s
+            return rest is not None and time.monotonic() - rest[0] >= rest_s
 
         self.until(there, pace.arrive_s + self._patience_s, lambda: self._short_of(q, pace))
         return int(self.node.get_clock().now().nanoseconds)
@@ -286,12 +282,12 @@ class ArmClient(GraphClient):
         self.spin(0.05)  # the driver has taken it up when its joints move
         # A sighting counts if it was taken 50 ms after the joints came to rest
         after_ns = self.arrive(path, pace, start) + 50_000_000
-
         seen: list[np.ndarray] = []
 
         def over() -> bool:
+            nonlocal seen
             told = [xyz for ns, xyz in self.sightings if ns > after_ns]
-            seen[:] = [xyz for xyz in told if np.isfinite(xyz).all()]
+            seen = [xyz for xyz in told if np.isfinite(xyz).all()]
             lost = not seen and len(told) >= 2 * pace.sightings
             return len(seen) >= pace.sightings or lost
 

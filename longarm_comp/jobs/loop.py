@@ -81,20 +81,13 @@ class Names:
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """The settings of a loop.
-
-    Attributes:
-        rounds: largest number of rounds.
-        poses: number of poses to measure in a round.
-        targets: number of fresh targets by which the gain is judged.
-        network: whether to train a predictor in every round.
-    """
+    """The settings of a loop."""
 
     out: Path
-    rounds: int = 3
-    poses: int = 180
-    targets: int = 40
-    network: bool = True
+    rounds: int = 3  # at most
+    poses: int = 180  # to measure in a round
+    targets: int = 40  # fresh ones, by which the gain is judged
+    network: bool = True  # a predictor is trained in every round
     seed: int = 1
     pace: Pace = field(default_factory=Pace)
     names: Names = field(default_factory=Names)
@@ -102,8 +95,8 @@ class LoopSettings:
     def __post_init__(self) -> None:
         # With fewer poses the diagnosis cannot weigh a library of some 170 parameters
         for name, least in (("rounds", 1), ("poses", 60), ("targets", 2)):
-            if getattr(self, name) < least:
-                raise InputError("loop", f"--{name}", getattr(self, name), f"at least {least}")
+            if (given := getattr(self, name)) < least:
+                raise InputError("loop", f"--{name}", given, f"at least {least}")
 
     def path(self, what: str, k: int) -> Path:
         """Return a file or folder of round k: ``session``, ``session_2``, ..."""
@@ -222,10 +215,8 @@ class Loop:
             self._drive_phase(names.before, targets, now),
         ]
         rounds: list[dict[str, Any]] = []
-        for k in range(1, self._settings.rounds + 1):
-            rounds.append(self._run_round(k, files, targets, method, trials))
-            if not rounds[-1]["again"]:
-                break
+        while len(rounds) < self._settings.rounds and (not rounds or rounds[-1]["again"]):
+            rounds.append(self._run_round(len(rounds) + 1, files, targets, method, trials))
         return trials, self._write_result(files, chosen["refused"], trials, rounds)
 
     def _drive_phase(self, name: str, targets: np.ndarray, method: Method) -> Trial:

@@ -63,9 +63,6 @@ class Load:
         """Ask for a mass for a number of visits; return "", or that it is missing.
 
         A mass that was not attached is not asked for again.
-
-        Raises:
-            JobError: another node contradicts the answer.
         """
         if kg not in self._missing and self._attach(kg, visits):
             self.confirm(kg)
@@ -74,11 +71,7 @@ class Load:
         return f"{kg:g} kg at the tool are missing"
 
     def confirm(self, kg: float) -> None:
-        """Take a mass as the one that the arm carries.
-
-        Raises:
-            JobError: another node publishes another mass.
-        """
+        """Take a mass as the one that the arm carries; JobError if another node says another."""
         self._answered = kg
         self.publish()
         self._client.spin(0.2)  # s: what came while somebody answered is heard
