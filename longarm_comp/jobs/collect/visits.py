@@ -115,10 +115,10 @@ def plan_checks(
     checks = [PlanCheck("inside the limits of arm.yaml", outside, True)]
     if servos is not None:
         joints = [servos.joints[name] for name in arm.joint_names]
-        tick = np.array([joint.si_per_tick for joint in joints])
-        lower = np.array([joint.lower for joint in joints]) - tick
-        upper = np.array([joint.upper for joint in joints]) + tick
-        faults = tuple(why_outside(row[None], lower, upper) for row in q)
+        slack = np.array([0.5 * joint.si_per_tick for joint in joints])  # as the driver allows
+        lower = np.array([joint.lower for joint in joints]) - slack
+        upper = np.array([joint.upper for joint in joints]) + slack
+        faults = tuple(why_outside(visit.path, lower, upper) for visit in visits)
         checks.append(PlanCheck("inside the servos' limits", faults, True))
     if arm.keep_out:
         # A fault of the floor and one of other boxes, at the pose and where its run-up begins
