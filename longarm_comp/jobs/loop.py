@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
+from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work, undo_command
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import collect
 from longarm_comp.jobs.collect.visits import list_visits
@@ -318,7 +318,7 @@ class Loop:
             "version": done.version,
             "predictor": None if done.predictor is None else str(done.predictor),
             "network_refused": done.refused,
-            "undo": done.undo,
+            "undo": undo_command(done, files),
             "changes": [
                 {"text": str(c)} | {name: getattr(c, name) for name in _CHANGE}
                 for c in done.changes
