@@ -23,25 +23,16 @@ another arm or of other poses lie as far off as the tips lie apart."""
 
 @dataclass(frozen=True)
 class HeadPlacement:
-    """The pose of the left optical frame in the base frame.
+    """The pose of the left optical frame in the base frame."""
 
-    Attributes:
-        pose: (4, 4).
-        position_sd_mm, rotation_sd_deg: (3,) each, one standard deviation, base axes.
-        residual_mm: RMS distance of the sightings, without outliers, from the predicted tips.
-        held_out_mm: the same for rows that were left out of the fit (five folds).
-        moved_mm, turned_deg: distance and angle from the assumed pose.
-        rows, outliers: numbers of rows used and left out.
-    """
-
-    pose: np.ndarray
-    position_sd_mm: np.ndarray
+    pose: np.ndarray  # (4, 4)
+    position_sd_mm: np.ndarray  # (3,) each, one standard deviation, base axes
     rotation_sd_deg: np.ndarray
-    residual_mm: float
-    held_out_mm: float
-    moved_mm: float
+    residual_mm: float  # RMS distance of the sightings, without outliers, from the predicted tips
+    held_out_mm: float  # the same for rows that were left out of the fit (five folds)
+    moved_mm: float  # distance and angle from the assumed pose
     turned_deg: float
-    rows: int
+    rows: int  # numbers of rows used and left out
     outliers: int
 
 

@@ -64,26 +64,17 @@ STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
 
 
 class DriverStopped(JobError):  # noqa: N818
-    """The driver is held, in fault or in emergency stop.
-
-    Attributes:
-        held: whether it is held, so that somebody means to continue.
-    """
+    """The driver is held, in fault or in emergency stop."""
 
     def __init__(self, state: DriverState) -> None:
-        self.held = state.state == DriverState.HOLDING
+        self.held = state.state == DriverState.HOLDING  # somebody means to continue
         leads_on = "`longarm status` tells more, `longarm reset` leads on"
         why = f"the driver is {driver_words(state.state)} ({leads_on})"
         super().__init__(why, said=state.message or "nothing")
 
 
 class ArmClient(GraphClient):
-    """A client of one arm's graph: receives its joints and sightings of its tip, and moves it.
-
-    Args:
-        stop: event that ends every wait.
-        tips: topic that tells where the tip is.
-    """
+    """A client of one arm's graph: receives its joints and sightings of its tip, and moves it."""
 
     def __init__(
         self,
@@ -113,6 +104,9 @@ class ArmClient(GraphClient):
         graph.MOTION.subscription(self.node, self._on_motion)
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
+    def _on_state(self, message: DriverState) -> None:
+        self._driver = message
+
     def _on_joints(self, message: JointState) -> None:
         with suppress(InputError):
             self.joints = joints_of(message, self.arm, "joint_states")
@@ -130,17 +124,17 @@ class ArmClient(GraphClient):
         Raises:
             DriverStopped: the driver is held, in fault or in emergency stop.
         """
-        running = "does `longarm up` run in this namespace and ROS_DOMAIN_ID?"
-        self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
-        # a killed driver is counted for up to 20 s
-        several = "two drivers are on this graph: end one `longarm up`"
-        self.until(lambda: count_drivers(self.node) < 2, within_s, several)
 
         def driver_hears() -> bool:  # all listeners to commands are matched, not only kinematics
             ends = self.node.get_subscriptions_info_by_topic(self._trajectory.topic_name)
             driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
             return driver and self._trajectory.get_subscription_count() >= len(ends)
 
+        running = "does `longarm up` run in this namespace and ROS_DOMAIN_ID?"
+        self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
+        # a killed driver is counted for up to 20 s
+        several = "two drivers are on this graph: end one `longarm up`"
+        self.until(lambda: count_drivers(self.node) < 2, within_s, several)
         self.until(driver_hears, within_s, "no driver listens to joint_trajectory")
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
@@ -148,9 +142,6 @@ class ArmClient(GraphClient):
             if self._tips is not graph.TIP_BY_READINGS:
                 hint = " (do the cameras publish left|right/image_raw and camera_info?)"
             self.until(lambda: self.sightings, within_s, f"no {self._tips.name}{hint}")
-
-    def _on_state(self, message: DriverState) -> None:
-        self._driver = message
 
     def _on_motion(self, message: Motion) -> None:
         if message.event == Motion.ACCEPTED and message.points:

@@ -200,15 +200,11 @@ def reports_of(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, 
 
 
 class Reports:
-    """Collects the reports on /diagnostics of the nodes in a client's namespace, from now on.
-
-    Attributes:
-        nodes: last status, by name of the node and of its part.
-    """
+    """Collects the reports on /diagnostics of the nodes in a client's namespace, from now on."""
 
     def __init__(self, client: GraphClient) -> None:
         self._client = client
-        self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}
+        self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}  # the last, by node and part
         self._heard = graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

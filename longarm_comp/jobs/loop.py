@@ -158,10 +158,8 @@ class Journal:
 class Loop:
     """Rounds of collecting, diagnosing, applying and driving targets again, on a running graph.
 
-    Args:
-        agree: shows a diagnosis and tells whether to apply it.
-        witness: another instrument that measures the tip, if there is one.
-        resume: continue an interrupted loop in the same folder.
+    ``agree`` shows a diagnosis and tells whether to apply it. ``witness`` is another instrument
+    that measures the tip.
     """
 
     def __init__(

@@ -21,11 +21,8 @@ Attach = Callable[[float, int], bool]
 class Load:
     """Knows the mass at the tool, asks for another one, and publishes what was answered.
 
-    While another node publishes `payload`, its word counts and this class publishes nothing.
-
-    Args:
-        attach: called before every change of the mass, while the arm stands.
-        assumed: mass that counts while nobody says one; it is not published.
+    While another node publishes `payload`, its word counts and this class publishes nothing. The
+    mass that is `assumed` counts while nobody says one.
     """
 
     def __init__(self, client: GraphClient, attach: Attach, assumed: float | None = None) -> None:
@@ -88,10 +85,7 @@ class Load:
 
 
 def find_carried(client: ArmClient, loads_kg: np.ndarray) -> np.ndarray:
-    """Tell for each of N masses whether the arm carries it now.
-
-    If no other node publishes `payload`, the arm carries what arm.yaml declares.
-    """
+    """Tell for each of N masses whether the arm carries it now, by `payload` or else arm.yaml."""
     declared = client.arm.payload
     assumed = 0.0 if declared is None else declared.mass_kg
     load = Load(client, lambda kg, visits: False, assumed)
