@@ -171,14 +171,11 @@ def load(
     learned = header.settings.get("model_hash")
     if None not in (learned, model_hash) and learned != model_hash:
         raise InputError(path, "model_hash", str(learned)[:12] or "the declared arm", model)
-    return Predictor(
-        encoding,
-        gain=LearnedGain(*arrays["gain"].tolist()),
-        provenance=Provenance(*(getattr(header, name) for name in _PROVENANCE)),
-        network=network,
-        **{name: getattr(header, name) for name in _NUMBERS},
-        **{name: arrays[name] for name in _PREDICTOR},
-    )
+    given: dict[str, Any] = {name: getattr(header, name) for name in _NUMBERS}
+    given |= {name: arrays[name] for name in _PREDICTOR}
+    gain = LearnedGain(*arrays["gain"].tolist())
+    origin = Provenance(*(getattr(header, name) for name in _PROVENANCE))
+    return Predictor(encoding, gain=gain, provenance=origin, network=network, **given)
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
