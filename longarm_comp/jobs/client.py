@@ -50,8 +50,14 @@ class Pace:
     tolerance: float | np.ndarray = JOINT_REST
 
     def __post_init__(self) -> None:
-        if self.sightings < 1:
-            raise InputError("collect", "--sightings", self.sightings, "at least 1")
+        given = (
+            ("sightings", self.sightings, 1),
+            ("dwell", self.dwell_s, 0),
+            ("move", self.move_s, 0),
+        )
+        for name, value, least in given:
+            if value < least:
+                raise InputError("collect", f"--{name}", value, f"at least {least}")
 
 
 TOLD_S = 3.0
