@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -202,7 +204,7 @@ def freeze_node(client: GraphClient, node: str) -> Iterator[int]:
     """Suspend the process of a node in this context, as if it hangs; only with a simulated arm.
 
     Yields the id of the process. Raises JobError if no such node with a simulated arm reports, or
-    if it runs on another machine.
+    if it runs on another machine: there another program may have this id.
     """
     if node not in KNOWN:
         raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))
@@ -213,6 +215,9 @@ def freeze_node(client: GraphClient, node: str) -> Iterator[int]:
     told = {pair.key: pair.value for pair in reports.nodes[node]["process"].values}
     process = int(told[INSTANCE].split("-")[0])
     try:
+        program = Path(f"/proc/{process}/cmdline").read_text()
+        if not re.search(rf"longarm_comp(\.nodes\.|/){node}\b", program):
+            raise ProcessLookupError
         os.kill(process, signal.SIGSTOP)
     except OSError as error:
         raise JobError("the node runs on another machine", node=node) from error

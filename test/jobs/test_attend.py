@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -29,6 +33,7 @@ from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import INSTANCE
 from longarm_interfaces.msg import DriverState
 
 TWO_JOINTS = Arm.parse(
@@ -113,6 +118,29 @@ def test_without_an_arm_the_command_says_so(
         assert words in shell.refused(name, "--namespace", "moon", code=3)
     with stop.lift_stops(*Stop):
         pass
+
+
+def test_another_program_with_the_id_of_a_node_elsewhere_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The node runs on another machine, where its process has an id that is in use here."""
+    with subprocess.Popen(["sleep", "600"]) as program:
+        values = [SimpleNamespace(key=INSTANCE, value=f"{program.pid}-0")]
+        nodes = {name: {"process": SimpleNamespace(values=values)} for name in attend.KNOWN}
+        reports = MagicMock(return_value=MagicMock(nodes=nodes))
+        monkeypatch.setattr(attend, "Reports", reports)
+        sent: list[int] = []
+        try:
+            with (
+                monkeypatch.context() as patch,
+                pytest.raises(JobError, match="another machine"),
+            ):
+                patch.setattr(os, "kill", lambda pid, number: sent.append(number))
+                with attend.freeze_node(MagicMock(), "kinematics"):
+                    pass
+        finally:
+            program.kill()
+    assert not sent
 
 
 def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shell) -> None:
