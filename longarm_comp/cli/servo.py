@@ -75,7 +75,7 @@ def find_servos(
         default = there[0][0] if len(there) == 1 else known
         port = str(ask(command, "--port", "serial port", "a serial port", default=default))
     with progress("scan") as tell:
-        found = scan_line(port, protocol, baud, _parse_ids(ids), timeout, tell, expected)
+        found = scan_line(port, protocol, baud, _parse_ids(command, ids), timeout, tell, expected)
     if found is None:
         raise JobError(
             f"no servo answers on {port}: is the bus powered, are data and ground connected, is it "
@@ -118,13 +118,13 @@ def describe_unknown(servo: FoundServo, protocol: str) -> str:
     )
 
 
-def _parse_ids(text: str) -> Sequence[int]:
+def _parse_ids(command: str, text: str) -> Sequence[int]:
     ids: list[int] = []
     for part in text.split(","):
         found = re.fullmatch(r"\s*(\d{1,3})(?:-(\d{1,3}))?\s*", part)
         ends = [int(v or found[1]) for v in found.groups()] if found else [1, 0]
         if not 0 <= ends[0] <= ends[1] <= 252:
-            raise InputError("servo scan", "--ids", text, "ids 0 to 252, for instance 1-20 or 1,2")
+            raise InputError(command, "--ids", text, "ids 0 to 252, for instance 1-20 or 1,2")
         ids += range(ends[0], ends[1] + 1)
     return sorted(set(ids))
 
