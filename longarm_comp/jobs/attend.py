@@ -154,8 +154,9 @@ class Attendant:
         """
         if others := self.hear_stop():
             raise JobError(f"nothing is done: {others}; to go on: longarm reset")
-        said = self.stop()
-        own = self._client.until(self.hear_stop, FOUND_S, "the driver does not say it stopped")
+        with self._client.putting_back():  # interrupted here, nobody would end the stop
+            said = self.stop()
+            own = self._client.until(self.hear_stop, FOUND_S, "the driver does not say it stopped")
         return said, own
 
     def take_back(self, own: str) -> str:

@@ -32,6 +32,8 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
+from longarm_comp.jobs.graph_client import Interrupted
+from longarm_comp.jobs.touch import release_servos
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import INSTANCE
 from longarm_interfaces.msg import DriverState
@@ -210,6 +212,28 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
     assert rig.free()
     assert "nothing is done: emergency stop since" in shell.refused(*again, code=3)
     assert shell("reset") == 0, shell.err
+    rig.is_in(DriverState.READY)
+
+
+def test_torque_is_on_again_after_a_signal_while_it_went_off(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = attend.Attendant.stop
+
+    def stop_and_signal(attendant: attend.Attendant) -> str:
+        said = stop(attendant)
+        signalled.set()
+        return said
+
+    monkeypatch.setattr(attend.Attendant, "stop", stop_and_signal)
+    signalled = threading.Event()
+    with (
+        ArmClient(TWO_JOINTS, stop=signalled) as client,
+        pytest.raises(Interrupted),
+        release_servos(client),
+    ):
+        client.spin(1.0)
+    rig.stage.spin(rig.driving)
     rig.is_in(DriverState.READY)
 
 
