@@ -279,7 +279,7 @@ class Loop:
             list_visits(plan, self._client.arm, repeats=repeats, seed=seed),
             bag,
             pace=settings.pace,
-            resume=(bag / "metadata.yaml").is_file(),
+            resume=bag.exists(),
             progress=lambda now: self._say(str(now), now.share),
         )
         blocked = Counter(f"no way there: {why.partition(':')[0]}" for why in done.blocked.values())
