@@ -38,11 +38,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
-    """Print a note if the block raises, then raise again.
-
-    Args:
-        kept: returns what an interrupted job leaves, and the next command; "" prints nothing.
-    """
+    """Print what an interrupted job leaves, and the next command, if the block raises."""
     try:
         yield
     except BaseException:
@@ -81,11 +77,9 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Print a table of parameters, in units that people read.
+    """Print a table of parameters, in units that people read, with the names of places (`called`).
 
-    Args:
-        called: name to print for a place, by place.
-        rows: effect, place, parameter, value, 95 % interval (None at a bound), unit.
+    A row is effect, place, parameter, value, 95 % interval (None at a bound), unit.
     """
     from longarm_comp.core.effects.units import for_people
 
