@@ -15,10 +15,7 @@ _SOURCES = Path(__file__).resolve().parents[1]
 
 
 def folder(name: str) -> Path:
-    """Return the folder ``config`` or ``launch``: of this package's checkout, else installed.
-
-    Raises InputError if it is nowhere.
-    """
+    """Return the folder ``config`` or ``launch``: of this package's checkout, else installed."""
     places = [*_in_checkout(name), *_installed_files(PACKAGE, name)]
     for place in places:
         if place.is_dir():

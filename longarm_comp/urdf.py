@@ -86,12 +86,7 @@ def read_chain(robot: UrdfRobot, base: str, tip: str) -> dict[str, Any]:
 
 
 def read_drives(path: str | Path, data: Mapping[str, Any]) -> dict[int, UrdfJoint]:
-    """Return the URDF joint of each commanded row, by row id.
-
-    Args:
-        path: the URDF file.
-        data: the contents of the arm.yaml that `import_urdf` made of it.
-    """
+    """Return the URDF joint of each commanded row, by row id; `data` as `import_urdf` made it."""
     joints = UrdfRobot(path).joints
     commanded = [row for row in data["joints"] if row["type"] != "fixed" and "mimic" not in row]
     return {row["id"]: joints[row["name"]] for row in commanded}
@@ -134,14 +129,9 @@ def _only(robot: UrdfRobot, option: str, links: list[str]) -> str:
 
 
 def _along_own_axes(before: np.ndarray) -> tuple[np.ndarray | None, dict[str, float]]:
-    """Split the pose of a joint into a rotation, and lengths and angles of its DH row.
+    """Split the pose of a joint in the frame before it into a rotation, and keys of its DH row.
 
-    Args:
-        before: (4, 4) pose of the joint's frame at rest in the frame before it.
-
-    Returns:
-        The rotation (4, 4) of a fixed row before the joint, or None if the row's own alpha is
-        enough; and the keys of the DH row that are not 0.
+    The rotation (4, 4) is that of a fixed row before the joint; None if the row's alpha is enough.
     """
     z, way = before[:3, 2], before[:3, 3]
     d = float(way @ z)
@@ -169,10 +159,7 @@ def _row(
 ) -> dict[str, Any]:
     """Return the row of `joints` in arm.yaml for a joint, without its lengths.
 
-    Args:
-        mimic: the joint that it follows, if any, with multiplier and offset.
-        geared: a joint that follows this one stands elsewhere after a whole turn; then this one is
-            not endless.
+    It is not endless if it is `geared`: a joint that follows it stands elsewhere after a turn.
     """
     row: dict[str, Any] = {"id": number, "name": joint.name, "type": MOVING[joint.type]}
     if mimic is not None:

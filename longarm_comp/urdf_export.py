@@ -46,7 +46,7 @@ def export_urdf(model: Model, group: str = "", marker: str = "") -> str:
     ET.SubElement(root, "link", {"name": BASE_LINK})
     parent = BASE_LINK
     for row in placed:
-        joint, _, _ = row
+        joint = row[0]
         node = ET.SubElement(root, "link", {"name": link_name(joint)})
         held = [m for m in arm.point_masses if m.frame == joint.id and not m.position_columns]
         points = [(m.mass_kg, inner[joint.id] @ np.append(m.position_m, 1.0)) for m in held]
@@ -170,11 +170,9 @@ def _within(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
 
 
 def _find_screw(turn: np.ndarray, moved: float, slides: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit axis of a row's motion and a point on it, both in the row's frame.
+    """Return the unit axis of a row's motion `turn` and a point on it, both in the row's frame.
 
-    Args:
-        turn: (4, 4) the motion.
-        moved: the change of the joint's value, rad or m.
+    The joint's value changes by `moved`, rad or m.
     """
     if slides:
         return turn[:3, 3] / moved, np.zeros(3)
@@ -203,17 +201,16 @@ def _joint(root: ET.Element, arm: Arm, placed: Placed, parent: str) -> None:
     else:
         leaders = np.flatnonzero(weights)
         if len(leaders) != 1:
-            followed = ", ".join(arm.joint_names[k] for k in leaders) or "none"
-            raise InputError(
-                "export-urdf", f"joint {joint_name(joint)}", followed, "a mimic of one joint"
-            )
+            followed, where = (arm.joint_names[k] for k in leaders), f"joint {joint_name(joint)}"
+            found = ", ".join(followed) or "none"
+            raise InputError("export-urdf", where, found, "a mimic of one joint")
         k = int(leaders[0])
         ends = weights[k] * np.array([arm.lower[k], arm.upper[k]]) + offset
         lower, upper = ends.min(), ends.max()
         follow = {"joint": arm.joint_names[k], "multiplier": repr(float(weights[k]))}
         ET.SubElement(node, "mimic", {**follow, "offset": repr(float(offset))})
-    ends_text = {"lower": repr(float(lower)), "upper": repr(float(upper))}
-    ET.SubElement(node, "limit", {**ends_text, "effort": "0", "velocity": "0"})  # not known
+    limits = {"lower": repr(float(lower)), "upper": repr(float(upper))}
+    ET.SubElement(node, "limit", {**limits, "effort": "0", "velocity": "0"})  # not known
 
 
 def _ends(node: ET.Element, origin: np.ndarray, parent: str, child: str) -> None:
@@ -235,15 +232,9 @@ def _add_inertial(node: ET.Element, points: Sequence[tuple[float, np.ndarray]]) 
     inertial = ET.SubElement(node, "inertial")
     ET.SubElement(inertial, "origin", {"xyz": _text(centre), "rpy": "0 0 0"})
     ET.SubElement(inertial, "mass", {"value": repr(total)})
-    names = {
-        "ixx": (0, 0),
-        "ixy": (0, 1),
-        "ixz": (0, 2),
-        "iyy": (1, 1),
-        "iyz": (1, 2),
-        "izz": (2, 2),
-    }
-    ET.SubElement(inertial, "inertia", {k: repr(float(tensor[at])) for k, at in names.items()})
+    names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+    parts = zip(names, tensor[np.triu_indices(3)].tolist(), strict=True)
+    ET.SubElement(inertial, "inertia", {name: repr(part) for name, part in parts})
 
 
 def _text(values: Sequence[float] | np.ndarray) -> str:

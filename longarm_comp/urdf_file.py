@@ -32,23 +32,22 @@ _LIMITS = {
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint: origin (4, 4) in the parent's frame, unit axis (3,) in its own, limits (rad, m).
+    """A joint of a URDF file.
 
-    `limits` are None if the file gives none, and may coincide: see `UrdfRobot.check_ranges`. They
-    are the tighter ones of its hard limits (`hard`) and of the soft ones of its safety controller.
-    `velocity` is the highest in rad/s or m/s; infinite if the file gives none, or 0.
+    `limits` (rad, m) are None if the file gives none, and may coincide. They are the tighter ones
+    of its hard limits (`hard`) and of the soft ones of its safety controller.
     """
 
     name: str
     type: str
     parent: str
     child: str
-    origin: np.ndarray
-    axis: np.ndarray
+    origin: np.ndarray  # (4, 4) in the parent's frame
+    axis: np.ndarray  # (3,) unit vector in its own frame
     limits: tuple[float, float] | None
     mimic: dict[str, Any] | None
     hard: tuple[float, float] | None = None
-    velocity: float = math.inf
+    velocity: float = math.inf  # highest, rad/s or m/s, if the file gives one that is not 0
 
     @property
     def moves(self) -> bool:
@@ -66,23 +65,17 @@ class UrdfJoint:
 
 
 class UrdfRobot:
-    """The tree of a URDF file.
-
-    Attributes:
-        links: mass (kg) and centre of mass (3,), m, in the link's frame, by name.
-        joints: all joints by name.
-        children: the joints below each link.
-        above: the joint above each link.
-    """
+    """The tree of a URDF file."""
 
     def __init__(self, path: str | Path) -> None:
         self.where = str(path)
         root = self._parse(Path(path))
         self.name = root.get("name") or Path(path).stem
         self.links = {node.get("name", ""): self._link(node) for node in root.findall("link")}
+        """Mass (kg) and centre of mass (3,), m, in the link's frame, by name."""
         self.joints = {node.get("name", ""): self._joint(node) for node in root.findall("joint")}
-        self.children: dict[str, list[UrdfJoint]] = {}
-        self.above: dict[str, UrdfJoint] = {}
+        self.children: dict[str, list[UrdfJoint]] = {}  # below each link
+        self.above: dict[str, UrdfJoint] = {}  # above each link
         for joint in self.joints.values():
             for end in (joint.parent, joint.child):
                 if end not in self.links:
@@ -91,17 +84,18 @@ class UrdfRobot:
                 raise self.error(f"link {joint.child}", "two parents", "one joint above a link")
             self.children.setdefault(joint.parent, []).append(joint)
             self.above[joint.child] = joint
-        self._check_tree()
+        try:
+            TopologicalSorter({link: [j.parent] for link, j in self.above.items()}).prepare()
+        except CycleError as error:
+            link = min(error.args[1])
+            raise self.error(f"link {link}", "in a cycle of joints", "a tree of links") from error
         self._check_masses()
 
     def _check_masses(self) -> None:
         """Refuse a centre of mass that is so far off that its unit must be wrong."""
         extent = sum(float(np.linalg.norm(j.origin[:3, 3])) for j in self.joints.values())
-        extent += sum(
-            max(map(abs, j.limits))
-            for j in self.joints.values()
-            if j.type == "prismatic" and j.limits is not None
-        )
+        slides = [j.limits for j in self.joints.values() if j.type == "prismatic" and j.limits]
+        extent += sum(max(map(abs, limits)) for limits in slides)
         for name, (mass, centre) in self.links.items():
             far = float(np.linalg.norm(centre))
             # From 30 times the robot's length on millimetres taken for metres (1000) are the nearer
@@ -204,14 +198,6 @@ class UrdfRobot:
                 raise self.error(tag, "a name is missing or twice", "names that differ")
         return root
 
-    def _check_tree(self) -> None:
-        """Refuse links in a cycle: every link must lead up to one without a joint above it."""
-        try:
-            TopologicalSorter({link: [j.parent] for link, j in self.above.items()}).prepare()
-        except CycleError as error:
-            link = min(error.args[1])
-            raise self.error(f"link {link}", "in a cycle of joints", "a tree of links") from error
-
     def _numbers(
         self,
         node: ET.Element,
@@ -221,13 +207,10 @@ class UrdfRobot:
         needed: bool = False,
         most: float = 1e6,
     ) -> np.ndarray:
-        """Return the numbers of an attribute of a part of a link or a joint.
+        """Return the numbers of an attribute of a part of a link or a joint, `most` at the most.
 
-        There must be as many as `usual` has.
-
-        Args:
-            usual: the numbers if the part is missing, or if its attribute is and is not `needed`.
-            most: largest magnitude of a number.
+        There must be as many as in `usual`: the text if the part is missing, or if its attribute is
+        and is not `needed`.
         """
         found = node.find(part)
         text = usual if found is None else found.get(key, "" if needed else usual)

@@ -101,11 +101,7 @@ def reset(namespace: str, kept: bool, yes: bool) -> None:
 
 
 def _make_fault(name: str, parameter: str, metavar: str, what: str, example: str) -> click.Command:
-    """Return a command that adds a name to a list of faults of the simulated arm, or removes it.
-
-    Args:
-        parameter: parameter of the simulated arm that holds the list.
-    """
+    """Return a command that adds a name to a parameter of the simulated arm, or removes it."""
 
     def spoil(name: str, back: bool, namespace: str) -> None:
         from longarm_comp.jobs import attend

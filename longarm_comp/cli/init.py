@@ -5,11 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
+from click.core import ParameterSource
 
 from longarm_comp.cli import options
 from longarm_comp.cli.output import note, print_json, say
 from longarm_comp.cli.signals import numbers_by_name
 from longarm_comp.core.errors import InputError, JobError
+
+_TAKEN_WITH = {
+    **dict.fromkeys(("base", "tip"), ("--urdf",)),
+    **dict.fromkeys(("tip_at", "payload"), ("--joint",)),
+    **dict.fromkeys(("name", "range_deg", "home"), ("--urdf", "--joint")),
+    **dict.fromkeys(("servos", "hobby", "only_arm"), ("--urdf", "--arm", "--joint")),
+}
+"""By parameter: the sources of an arm with which it means something."""
 
 
 @click.command()
@@ -101,6 +110,13 @@ def command(
     if len(given) != 1:
         allowed = "one of --urdf FILE, --like demo, --arm FILE, --joint ROW --joint ROW ..."
         raise InputError("init", "source", " and ".join(given) or "none", allowed)
+    context = click.get_current_context()
+    for option in context.command.params:
+        takes = _TAKEN_WITH.get(option.name or "", given)
+        told = context.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE
+        if told and given[0] not in takes:
+            value, allowed = context.params[option.name or ""], f"with {' or '.join(takes)} alone"
+            raise InputError("init", option.opts[0], value, allowed)
     drives = {}
     if like is not None:
         files = make.demonstration()
@@ -111,6 +127,7 @@ def command(
             if urdf is not None:
                 base, tip = chain_ends(urdf, base, tip)
                 data, where = import_urdf(urdf, base, tip), f"{urdf.name}, {base} to {tip}"
+                data["name"] = name or data["name"]
                 drives = read_drives(urdf, data)
             else:
                 data, where = arm_of(name or out.name, rows, tip_at, payload), "a DH table"

@@ -76,19 +76,21 @@ def apply(diagnosis: Path, namespace: str, **how: Any) -> None:
 
 @click.command()
 @options.path_argument("model", "MODEL")
-def undo(model: Path) -> None:
+@options.path_option("--predictor", "Predictor in use, if it is in another folder than MODEL.")
+def undo(model: Path, predictor: Path | None) -> None:
     """Restore the version of MODEL before the last change, byte for byte.
 
     The predictor that belonged to that version is restored too. A predictor of the version that is
     taken back is set aside. Running nodes notice the change.
 
     \b
-    Example:
+    Examples:
       longarm undo model.yaml
+      longarm undo model.yaml --predictor learned/predictor.npz
     """
     from longarm_comp.workflows import model_in_use
 
-    back = model_in_use.undo(model)
+    back = model_in_use.undo(model, predictor)
     note(f"{model} is the previous version again")
     if back is not None:
         note(f"{back} is the predictor that belongs to it")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from longarm_comp.cli.output import JSON
-from longarm_comp.cli.outputs import Kind, Output
+from longarm_comp.cli.outputs import Beside, Kind, Output
 
 if TYPE_CHECKING:
     from longarm_comp.core.arm.arm import Arm as Arm
@@ -130,25 +130,18 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     """
 
     @functools.wraps(function)
-    def command(
-        sightings: int,
-        dwell: float | None,
-        move: float,
-        arm_speed: float,
-        within: float | None,
-        **rest: Any,
-    ) -> Any:
+    def command(**given: Any) -> Any:
+        names = ("sightings", "within", "dwell", "move", "arm_speed")
+        sightings, within, dwell, move, arm_speed = map(given.pop, names)
+
         def pace(model: Any, q: Any) -> Any:
             from longarm_comp.core.vibration.ring import rest_s
             from longarm_comp.jobs.client import Pace
 
             near = {} if within is None else {"tolerance": within}
-            dwell_s = rest_s(model, q, move, dwell)
-            return Pace(
-                sightings=sightings, dwell_s=dwell_s, move_s=move, arm_speed=arm_speed, **near
-            )
+            return Pace(sightings, rest_s(model, q, move, dwell), move, arm_speed, **near)
 
-        return function(pace=pace, **rest)
+        return function(pace=pace, **given)
 
     return several(
         click.option("--sightings", default=5, help="Sightings averaged at each pose."),
@@ -173,22 +166,20 @@ def pace(function: Callable[..., Any]) -> Callable[..., Any]:
     )(command)
 
 
-def _load_each(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
-    if files:
-        from longarm_comp.core.effects.catalogue import load_file
-
-        for file in files:
-            load_file(file)
-    return files
-
-
 def _effects_option(expose: bool) -> _Decorator:
+    def load(_: click.Context, __: click.Parameter, files: tuple[Path, ...]) -> tuple[Path, ...]:
+        for file in files:
+            from longarm_comp.core.effects.catalogue import load_file
+
+            load_file(file)
+        return files
+
     return click.option(
         "--effects",
         "effect_files",
         type=_PATH,
         multiple=True,
-        callback=_load_each,
+        callback=load,
         expose_value=expose,
         metavar="FILE",
         help="Python file that defines further effects; it is executed. Repeat for more.",
@@ -196,11 +187,11 @@ def _effects_option(expose: bool) -> _Decorator:
 
 
 def _execute_network(_: click.Context, __: click.Parameter, given: str | Path | None) -> Any:
-    if given is None:
-        return None
-    from longarm_comp.core.learn.others import choose_network
+    if given is not None:
+        from longarm_comp.core.learn.others import choose_network
 
-    return choose_network(given)
+        return choose_network(given)
+    return None
 
 
 _NETWORK_FILE = "Python file of the predictor's network, if not the paper's; it is executed."
@@ -227,14 +218,8 @@ effect_files = _effects_option(expose=True)
 """The same option for a command that passes the files on; its parameter is `effect_files`."""
 
 
-def output(
-    default: str | None, what: str, kind: Kind, beside: Callable[[Path], list[Path]] | None = None
-) -> _Decorator:
-    """Return the option ``-o/--output PATH``, which is required if `default` is None.
-
-    Args:
-        kind, beside: as in `outputs.Output`.
-    """
+def output(default: str | None, what: str, kind: Kind, beside: Beside | None = None) -> _Decorator:
+    """Return the option ``-o/--output PATH``, which is required if `default` is None."""
     # To click a default of None is a value, with which nothing is missing
     given: dict[str, Any] = {"required": True} if default is None else {"default": default}
     return written_option("-o/--output", what, kind, beside=beside, **given)

@@ -21,18 +21,14 @@ from longarm_comp.cli.outputs import json_text
 _QUIET_S = 10.0
 """Least time (s) between two lines of progress: they show that a job goes on, not each step."""
 
-
-JSON = "longarm.json"
-"""Key of a click context: whether ``--json`` was given."""
-
-
-_BAR = "longarm.bar"
-"""Key of a click context: the progress bar that is on the terminal."""
+JSON, _BAR = "longarm.json", "longarm.bar"
+"""Keys of a click context: whether ``--json`` was given; the progress bar on the terminal."""
 
 
-def _as_json() -> bool:
+def _meta() -> dict[str, Any]:
+    """Return what the present command keeps in its context; empty outside a command."""
     context = click.get_current_context(silent=True)
-    return context is not None and bool(context.meta.get(JSON))
+    return {} if context is None else context.meta
 
 
 def note(text: str) -> None:
@@ -42,11 +38,7 @@ def note(text: str) -> None:
 
 @contextmanager
 def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
-    """Print a note if the block raises, then raise again.
-
-    Args:
-        kept: returns what an interrupted job leaves, and the next command; "" prints nothing.
-    """
+    """Print what an interrupted job leaves, and the next command, if the block raises."""
     try:
         yield
     except BaseException:
@@ -57,19 +49,19 @@ def kept_if_broken_off(kept: Callable[[], str]) -> Iterator[None]:
 
 def print_json(data: object) -> None:
     """Print results as JSON; without ``--json``, print nothing."""
-    if _as_json():
+    if _meta().get(JSON):
         click.echo(json_text(data))
 
 
 def say(text: str) -> None:
     """Print a line of the results; with ``--json``, print nothing."""
-    if not _as_json():
+    if not _meta().get(JSON):
         click.echo(text)
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
     """Print results as a table; with ``--json``, print nothing."""
-    if _as_json():
+    if _meta().get(JSON):
         return
     from rich.console import Console
     from rich.markup import escape
@@ -85,23 +77,21 @@ def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[objec
 
 
 def print_effects(title: str, called: Mapping[str, str], rows: Sequence[tuple[Any, ...]]) -> None:
-    """Print a table of parameters, in units that people read.
+    """Print a table of parameters, in units that people read, with the names of places (`called`).
 
-    Args:
-        called: name to print for a place, by place.
-        rows: effect, place, parameter, value, 95 % interval (None at a bound), unit.
+    A row is effect, place, parameter, value, 95 % interval (None at a bound), unit.
     """
     from longarm_comp.core.effects.units import for_people
 
+    if not rows:
+        return
     cells = []
     for effect, where, name, value, ci95, unit in rows:
         times, shown = for_people(unit)
         span = "at its bound" if ci95 is None else " .. ".join(f"{times * v:.4g}" for v in ci95)
         place = called.get(where, where)
         cells.append((effect, place, name, f"{times * value:.4g}", span, shown))
-    header = ("effect", "where", "parameter", "value", "95 % interval", "unit")
-    if cells:
-        print_table(title, header, cells)
+    print_table(title, ("effect", "where", "parameter", "value", "95 % interval", "unit"), cells)
 
 
 def print_rows(title: str, rows: Sequence[Mapping[str, Any]]) -> None:
@@ -132,36 +122,25 @@ def progress(label: str, lines: bool = False) -> Iterator[Callable[..., None]]:
     from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with (
-        Progress(*columns, console=Console(stderr=True), transient=True) as bar,
-        _kept_in_context(bar),
-    ):
-        task = bar.add_task(label, total=1.0)
+    meta = _meta()
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task, meta[_BAR] = bar.add_task(label, total=1.0), bar
 
         def update(text: str, share: float | None = None) -> None:
             total = None if share is None else 1.0  # unknown: the bar runs to and fro
             described = f"{label}: {text}" if text else label
             bar.update(task, description=described, total=total, completed=share)
 
-        yield update
-
-
-@contextmanager
-def _kept_in_context(bar: Any) -> Iterator[None]:
-    context = click.get_current_context(silent=True)
-    meta = {} if context is None else context.meta
-    meta[_BAR] = bar
-    try:
-        yield
-    finally:
-        del meta[_BAR]
+        try:
+            yield update
+        finally:
+            del meta[_BAR]
 
 
 @contextmanager
 def progress_hidden() -> Iterator[None]:
     """Take the progress bar off the terminal in the block: it hides a question and its answer."""
-    context = click.get_current_context(silent=True)
-    bar = None if context is None else context.meta.get(_BAR)
+    bar = _meta().get(_BAR)
     if bar is None:
         yield
         return

@@ -7,6 +7,7 @@ overrides this. Links are followed. Inputs must be regular files or folders, and
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
 from collections.abc import Callable, Iterator
@@ -40,11 +41,7 @@ def with_marks(*marks: bytes) -> Kind:
 
 
 def table(*columns: str, without: str = "") -> Kind:
-    """Return a test for tables whose header begins with ``index`` and has these columns.
-
-    Args:
-        without: a column that the header must not have.
-    """
+    """Return a test for tables with the columns ``index`` (first) and these, but not `without`."""
 
     def ours(path: Path) -> bool:
         header = _read_ends(path).split(b"\n")[0].decode("utf-8", "replace").strip().split(",")
@@ -57,9 +54,7 @@ def table(*columns: str, without: str = "") -> Kind:
 def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
     """Return a test for folders that hold none of these files, or those of an earlier call.
 
-    Args:
-        told_by: JSON file that an earlier call left.
-        schema: its entry ``schema``; empty: any.
+    That call left the JSON file `told_by`, whose entry ``schema`` is `schema` (empty: any).
     """
 
     def ours(path: Path) -> bool:
@@ -90,16 +85,10 @@ def left_to_the_command(path: Path) -> bool:
     return True
 
 
-MODEL = with_marks(b"# Written by longarm")
-_NPZ, _SAFETENSORS = with_marks(b"PK\x03\x04", b"header.npy"), with_marks(b"longarm/predictor")
-
-
 def is_predictor(path: Path) -> bool:
-    """Tell whether a file is a predictor, of the paper's network or another."""
-    return _NPZ(path) or _SAFETENSORS(path)
-
-
-URDF = with_marks(b"<robot", b"written by longarm export-urdf")
+    """Tell whether a file is a predictor, of the paper's network (npz) or another."""
+    ends = _read_ends(path)
+    return (b"PK\x03\x04" in ends and b"header.npy" in ends) or b"longarm/predictor" in ends
 
 
 def session(path: Path) -> bool:
@@ -110,6 +99,8 @@ def session(path: Path) -> bool:
     return f"session_sha256: {file_hash(path)}".encode() in mapping.read_bytes()
 
 
+MODEL = with_marks(b"# Written by longarm")
+URDF = with_marks(b"<robot", b"written by longarm export-urdf")
 POSES = table("q1", without="repeat_id")
 COMMANDS = table("q1", "status", "predicted_error_x")
 PICTURE = with_marks(b"longarm")
@@ -139,21 +130,14 @@ def _read_ends(path: Path) -> bytes:
         return b""
 
 
+Beside = Callable[[Path], list[Path]]
+"""A function that returns further files that are written with a file."""
+
+
 class Output(click.Option):
-    """An option that names a file or folder to write.
+    """An option that names a file or folder to write; `kind` tests existing ones."""
 
-    Args:
-        kind: test for existing files that may be replaced.
-        beside: returns further files that are written with it.
-    """
-
-    def __init__(
-        self,
-        *words: Any,
-        kind: Kind,
-        beside: Callable[[Path], list[Path]] | None = None,
-        **named: Any,
-    ) -> None:
+    def __init__(self, *words: Any, kind: Kind, beside: Beside | None = None, **named: Any) -> None:
         super().__init__(*words, **named)
         self.kind, self.beside = kind, beside or (lambda path: [])
 
@@ -178,27 +162,25 @@ def guard_outputs(command: click.Command, name: str) -> click.Command:
     def run_checked(*, force: bool = False, **given: Any) -> Any:
         from longarm_comp.core.files import check_regular
 
-        params = command.params
-        named = [(p, path) for p in params for path in _find_parts(given.get(p.name or ""), Path)]
-        for _, path in named:
-            check_regular(path)
-        for p in params:
-            for value in _find_parts(given.get(p.name or ""), float):
-                if not math.isfinite(value):
-                    raise InputError(name, p.opts[0], value, "a finite number")
-        read = [path for p, path in named if not isinstance(p, Output)]
-        for option, path in () if force else named:
-            if not isinstance(option, Output):
-                continue
+        read: list[Path] = []
+        for param in command.params:
+            value = given.get(param.name or "")
+            for path in _find_parts(value, Path):
+                check_regular(path)
+                read += [] if isinstance(param, Output) else [path]
+            for number in _find_parts(value, float):
+                if not math.isfinite(number):
+                    raise InputError(name, param.opts[0], number, "a finite number")
+        for option in () if force else outputs:
             word = option.opts[0]
-            for made in (path, *option.beside(path)):
-                for other in read:
+            for path in _find_parts(given.get(option.name or ""), Path):
+                for made, other in itertools.product((path, *option.beside(path)), read):
                     if _is_same_file(made, other):
                         said = f"{made} is the input {other}"
                         raise InputError(name, word, said, "another file, or --force")
-            if path.exists() and not option.kind(path):
-                said = f"{path} exists and is not a file that {name} writes"
-                raise InputError(name, word, said, "a file that does not exist, or --force")
+                if path.exists() and not option.kind(path):
+                    said = f"{path} exists and is not a file that {name} writes"
+                    raise InputError(name, word, said, "a file that does not exist, or --force")
         return run(**given)
 
     command.callback = run_checked

@@ -16,25 +16,14 @@ from longarm_comp.core.errors import JobError
 
 
 class Entry(NamedTuple):
-    """One command.
+    """One command; a module with a dot in its name belongs to a checkout and is not installed."""
 
-    Attributes:
-        name: name of the command; two words for a command of a group.
-        module: module of the click command, or ``module:name`` if it is not named `command`. A
-            module with a dot in its name belongs to a checkout and is not installed.
-        summary: one line of help.
-    """
-
-    name: str
-    module: str
-    summary: str
+    name: str  # two words for a command of a group
+    module: str  # of the click command, or ``module:name`` if it is not named `command`
+    summary: str  # one line of help
 
     def load(self, folder: str = "longarm_comp.cli") -> click.Command:
-        """Import the command and return it.
-
-        Raises:
-            JobError: it needs a checkout of the project, and there is none.
-        """
+        """Import the command and return it. Raises JobError if it needs a checkout."""
         module, _, name = self.module.partition(":")
         if "." in module:
             # A folder of the checkout stands beside the package and nowhere else: the folder in

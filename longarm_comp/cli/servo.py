@@ -64,10 +64,7 @@ def find_servos(
 
     Args:
         command: name of the command, for error messages.
-        ids: ids to ask, such as ``1-20`` or ``1,2``.
-        timeout: longest wait per id, s.
-        known: port in the servo file, the default of the question.
-        expected: ids in the servo file.
+        known, expected: port (the default of the question) and ids in the servo file.
 
     Raises:
         JobError: no servo answers.
@@ -81,7 +78,7 @@ def find_servos(
         default = there[0][0] if len(there) == 1 else known
         port = str(ask(command, "--port", "serial port", "a serial port", default=default))
     with progress("scan") as tell:
-        found = scan_line(port, protocol, baud, _parse_ids(ids), timeout, tell, expected)
+        found = scan_line(port, protocol, baud, _parse_ids(command, ids), timeout, tell, expected)
     if found is None:
         raise JobError(
             f"no servo answers on {port}: is the bus powered, are data and ground connected, is it "
@@ -124,13 +121,13 @@ def describe_unknown(servo: FoundServo, protocol: str) -> str:
     )
 
 
-def _parse_ids(text: str) -> Sequence[int]:
+def _parse_ids(command: str, text: str) -> Sequence[int]:
     ids: list[int] = []
     for part in text.split(","):
         found = re.fullmatch(r"\s*(\d{1,3})(?:-(\d{1,3}))?\s*", part)
         ends = [int(v or found[1]) for v in found.groups()] if found else [1, 0]
         if not 0 <= ends[0] <= ends[1] <= 252:
-            raise InputError("servo scan", "--ids", text, "ids 0 to 252, for instance 1-20 or 1,2")
+            raise InputError(command, "--ids", text, "ids 0 to 252, for instance 1-20 or 1,2")
         ids += range(ends[0], ends[1] + 1)
     return sorted(set(ids))
 
@@ -162,11 +159,7 @@ def set_id(servo_id: int, port: str | None, arm: Path | None, **line: Any) -> No
 
 
 def own_state(folder: Path) -> str:
-    """Return the folder for stops that an arm's servo file names; empty: the user's.
-
-    Raises:
-        InputError: the arm's folder has no servo file.
-    """
+    """Return the folder for stops that an arm's servo file names; empty: the user's."""
     from longarm_comp.arm_folder.parameter_file import read_parameters
     from longarm_comp.arm_folder.servos import SERVOS
 
@@ -177,10 +170,7 @@ def own_state(folder: Path) -> str:
 
 
 def refuse_stopped(state: str, ports: Collection[str], folder: Path | None) -> None:
-    """Raise `JobError` if ports, or the arm in a folder, are stopped or held.
-
-    ``state``: the arm's own folder for stops; empty: the user's.
-    """
+    """Raise `JobError` if ports, or the arm in a folder, are stopped or held by `own_state`."""
     from longarm_comp.devices.state_folder import state_folder
     from longarm_comp.devices.stop_latch import refuse_under_stop
 

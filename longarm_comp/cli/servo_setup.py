@@ -77,16 +77,16 @@ def setup(
     from longarm_comp.devices.servo_bus.registry import open_bus
     from longarm_comp.devices.servo_check import check_reach
     from longarm_comp.devices.servo_config import ServoConfig
-    from longarm_comp.devices.servo_setup import ServoSetup, show_value
+    from longarm_comp.devices.servo_setup import ServoSetup, hand_unit, show_value
     from longarm_comp.devices.setup_journal import SetupJournal
 
     file, wait, state = folder / SERVOS, partial(go_on, _COMMAND, yes), own_state(folder)
     config = ServoConfig.load(file)
-    held, directions, bus = (
-        _held_pose(config, pose),
-        _given_directions(config, direction),
-        config.bus,
-    )
+    bus, form = config.bus, "JOINT=NUMBER, deg or mm"
+    held = {name: joint.home for name, joint in config.joints.items()}
+    for name, value in numbers_by_name(_COMMAND, "--pose", pose, form, list(held)).items():
+        held[name] = value * hand_unit(config.joints[name])[0]
+    directions = _given_directions(config, direction)
     known = {joint.servo_id for joint in config.joints.values()}
     found = find_servos(_COMMAND, port, known=bus.port, expected=known, **line)
     check = partial(refuse_stopped, state, {found.port, bus.port}, folder)
@@ -94,14 +94,9 @@ def setup(
     show_servos(found)
     blind = _on_the_bus(config, found)
     wait("The torque goes off: hold or support the arm.")
-    servo_bus = open_bus(
-        found.protocol,
-        found.port,
-        found.baudrate,
-        {joint.servo_id: joint.servo for joint in blind.values()},
-        bus.reply_timeout_s,
-        bus.retries,
-    )
+    servos = {joint.servo_id: joint.servo for joint in blind.values()}
+    patience = bus.reply_timeout_s, bus.retries
+    servo_bus = open_bus(found.protocol, found.port, found.baudrate, servos, *patience)
     journal = SetupJournal(state, folder / "arm.yaml", servo_bus)
     with closing(servo_bus), ServoSetup(servo_bus, blind, journal, check).safely() as bench:
         for text in bench.said:
@@ -142,27 +137,8 @@ def setup(
     note(f"next: longarm check {folder}")
 
 
-def _held_pose(config: ServoConfig, pose: Sequence[str]) -> dict[str, float]:
-    """Return the joint values, rad or m, of the pose that the user holds.
-
-    Joints not in ``pose`` are at 0, or at the limit nearest to it.
-    """
-    from longarm_comp.devices.servo_setup import hand_unit
-
-    joints = config.joints
-    held = {name: joint.home for name, joint in joints.items()}
-    form = "JOINT=NUMBER, deg or mm"
-    for name, value in numbers_by_name(_COMMAND, "--pose", pose, form, list(joints)).items():
-        held[name] = value * hand_unit(joints[name])[0]
-    return held
-
-
 def _given_directions(config: ServoConfig, direction: Sequence[str]) -> dict[str, int]:
-    """Return the directions, +1 or -1, that are given by option, by joint.
-
-    Raises:
-        InputError: an invalid direction, or one is missing and there is no terminal to ask on.
-    """
+    """Return the directions given by option, +1 or -1; others need a terminal to ask on."""
     form = "JOINT=+ or JOINT=-"
     given = by_name(_COMMAND, "--direction", direction, form, list(config.joints))
     for text in given.values():
@@ -208,9 +184,6 @@ def _find_zeros(
     Args:
         held: the pose, rad or m.
         directions: +1 or -1 by joint; those left out are asked for and added.
-
-    Raises:
-        JobError: a zero does not fit, and with ``yes`` there is nobody to ask.
     """
     from longarm_comp.devices.servo_setup import describe_power_on, show_value, zero_from_pose
 
@@ -243,11 +216,9 @@ def _find_zeros(
 def _ask_direction(setup: ServoSetup, name: str) -> int:
     """Move a joint a little, ask the user which way it went, and return its direction, +1 or -1."""
     text = "which way did it go, by arm.yaml? (another joint moved: Ctrl-C, correct servo_id)"
-    kind, said = click.Choice([*_SIGNS, "again"]), "again"
+    kind, question, said = click.Choice([*_SIGNS, "again"]), f"{name}: {text}", "again"
     while said == "again":
         with setup.nudge(name) as grew:
             allowed = ", ".join(kind.choices)
-            said = ask(
-                _COMMAND, "--direction", f"{name}: {text}", allowed, default="again", type=kind
-            )
+            said = ask(_COMMAND, "--direction", question, allowed, default="again", type=kind)
     return grew * _SIGNS[said]

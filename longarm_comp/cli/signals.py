@@ -30,8 +30,7 @@ def handle_signals(
 ) -> Iterator[None]:
     """Handle signals by a function within the block, and restore the earlier handlers after it.
 
-    The handler `signal.default_int_handler` raises KeyboardInterrupt, so that ``finally`` clauses
-    run.
+    `signal.default_int_handler` raises KeyboardInterrupt, so that ``finally`` clauses run.
     """
     before = {number: signal.signal(number, handler) for number in numbers}
     try:
@@ -51,11 +50,10 @@ def stop_on_signals() -> Iterator[threading.Event]:
 
 @contextmanager
 def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> Iterator[Any]:
-    """Yield a client on the running graph; SIGINT and SIGTERM stop its waits.
+    """Yield an `ArmClient` (without an arm a `GraphClient`), whose waits SIGINT and SIGTERM stop.
 
     Args:
         name: name of the client's node.
-        arm: arm of an `ArmClient`; None: a `GraphClient`.
         how: further arguments of the client.
     """
     from longarm_comp.jobs.client import ArmClient
@@ -67,11 +65,7 @@ def on_graph(name: str, namespace: str, arm: Arm | None = None, **how: Any) -> I
 
 
 def user_agrees(question: str, yes: bool) -> bool:
-    """Ask a yes-or-no question on the terminal; return True at once if ``--yes`` was given.
-
-    Raises:
-        JobError: there was no answer.
-    """
+    """Ask a yes-or-no question, unless ``--yes`` was given. Raises JobError without an answer."""
     if yes:
         return True
     try:
@@ -82,10 +76,9 @@ def user_agrees(question: str, yes: bool) -> bool:
 
 
 def ask(command: str, flag: str, text: str, allowed: str, **options: Any) -> Any:
-    """Return the user's answer to a question that the flag answers too.
+    """Return the user's answer to the question `text`, which the flag answers too.
 
     Args:
-        text: the question.
         allowed: allowed answers, for the error message.
         options: further options of `click.prompt`.
 
@@ -111,14 +104,9 @@ def go_on(command: str, yes: bool, text: str) -> None:
 def by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, str]:
-    """Read the values of a repeated flag ``NAME=VALUE``.
+    """Read the values of a repeated flag ``NAME=VALUE``; InputError states the expected `form`.
 
-    Args:
-        form: the expected form, as error messages state it.
-        names: the allowed names; None for any.
-
-    Raises:
-        InputError: a text is no NAME=VALUE, or a name is given twice or not allowed.
+    Each name may be given once, and must be one of `names`, if these are given.
     """
     values: dict[str, str] = {}
     for text in given:
@@ -133,11 +121,7 @@ def by_name(
 def numbers_by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Return the values of a repeated flag ``NAME=VALUE`` as numbers, as `by_name`.
-
-    Raises:
-        InputError: a value is no number, or its size is a million or more.
-    """
+    """Read the values as `by_name`, which must be numbers with a size below a million."""
     values = {}
     for name, text in by_name(command, flag, given, form, names).items():
         try:

@@ -163,12 +163,13 @@ def calibrate(
     else:
         from longarm_comp.jobs.board_capture import capture
 
-        told = [""]
+        last = ""
 
         def tell(text: str) -> None:
-            if text != told[-1]:
+            nonlocal last
+            if text != last:
                 note(text)
-                told.append(text)
+            last = text
 
         with on_graph("board_capture", namespace) as client:
             views, size = capture(client, target, tell, save=save)
@@ -201,22 +202,21 @@ def _from_files(target: Target, folder: Path) -> tuple[list[BoardView], Size]:
     from longarm_comp.devices.stereo.views import find_view
 
     views: list[BoardView] = []
-    size: Size | None = None
+    size: Size = (0, 0)
     pairs = pair_files(folder)
     with progress("views") as tell:
         for k, (left, right) in enumerate(pairs):
             tell(left.name, k / len(pairs))
             greys = read_grey(left), read_grey(right)
             height, width = greys[0].shape
-            size = size or (width, height)
-            if size != (width, height):
+            if size not in ((0, 0), (width, height)):
                 allowed = f"{size[0]}x{size[1]} as the others"
                 raise InputError(left, "size", f"{width}x{height}", allowed)
+            size = width, height
             try:
                 views.append(find_view(target, *greys))
             except StereoRefusal as refusal:
                 note(f"{left.name}, {right.name} are left out: {refusal}")
-    assert size is not None
     return views, size
 
 
@@ -238,6 +238,7 @@ def hand_eye(folder: Path, session: Path, model: Path | None) -> None:
       longarm stereo hand-eye my_arm my_arm/session --model my_arm/model.yaml
     """
     from longarm_comp.arm_folder.measured import head_at, write_head
+    from longarm_comp.core.arm import quaternion
     from longarm_comp.core.arm.arm import Arm
     from longarm_comp.jobs.camera_placement import placed_cameras
     from longarm_comp.sessions.read import read_session
@@ -256,7 +257,7 @@ def hand_eye(folder: Path, session: Path, model: Path | None) -> None:
         "held_out_mm": round(found.held_out_mm, 3),
     }
     written = write_head(folder, found.pose, assumed, rows.hash, quality)
-    place, turn = found.pose[:3, 3], found.quaternion
+    place, turn = found.pose[:3, 3], quaternion.from_rotation(found.pose[:3, :3])
     print_json({"files": written, "xyz": place, "quaternion": turn, **quality})
     by_axis = zip("xyz", place, found.position_sd_mm, turn[:3], found.rotation_sd_deg, strict=True)
     lines, turns = [], []

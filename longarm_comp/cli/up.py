@@ -19,14 +19,8 @@ from longarm_comp.cli.signals import stop_on_signals
 from longarm_comp.core.errors import JobError
 
 SHOWN = (
-    "model",
-    "n",
-    "mean_mm",
-    "rms_mm",
-    "max_mm",
-    "mean_abs_z_mm",
-    "true_mean_mm",
-    "paper_mean_mm",
+    *("model", "n", "mean_mm", "rms_mm", "max_mm"),
+    *("mean_abs_z_mm", "true_mean_mm", "paper_mean_mm"),
 )
 
 
@@ -94,10 +88,8 @@ def alone(namespace: str, stop: threading.Event, *, others: bool = False) -> Ite
     """Raise JobError if a graph runs already, because both would command the same arm.
 
     A graph on this machine is found by its lock file, which is free again when the process ends.
-    A graph on another machine is found by its driver, as soon as the middleware has discovered it.
-
-    Args:
-        others: another program may drive the arm, so do not look for other drivers.
+    A graph on another machine is found by its driver, as soon as the middleware has discovered it,
+    unless the arm may be driven by `others`.
     """
     from longarm_comp.jobs.graph_client import GraphClient, count_drivers
 

@@ -67,9 +67,16 @@ def apply_on_graph(
     except JobError:
         undo(files.model, files.predictor)
         raise
-    if files.predictor is not None and files.predictor.parent != files.model.parent:
-        note(f"{done.undo} leaves {files.predictor} alone: it is in another folder than the model")
+    if (back := undo_command(done, files)) != done.undo:
+        note(f"{back}: takes it back with its predictor, which is in another folder")
     return done
+
+
+def undo_command(done: Applied, files: FilesAtWork) -> str:
+    """Return the shell command that restores the version before, and its predictor."""
+    if files.predictor is None or files.predictor.parent == files.model.parent:
+        return done.undo
+    return f"{done.undo} --predictor {files.predictor}"
 
 
 def reload(client: GraphClient, node: str) -> None:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -26,11 +28,10 @@ from longarm_comp.nodes.interfaces import Service
 from longarm_comp.nodes.messages import driver_words
 from longarm_interfaces.msg import DriverState
 
-DRIVER, KINEMATICS = "servo_driver", "kinematics"
+DRIVER, KINEMATICS, SIMULATED = "servo_driver", "kinematics", "simulated_arm"
+KNOWN = {*bringup.SIMULATED, bringup.PATHS}
+"""Nodes of an arm whose reports `Attendant.standing` waits for."""
 _LEVELS = ("ok", "warning", "error", "stale")
-
-_NONE = f"no {DRIVER} is on the graph"
-_OTHER = "another program drives the arm and does not say how it stands"
 _NEXT = {
     DriverState.UNCONFIGURED: "longarm servo scan",
     DriverState.INACTIVE: f"ros2 lifecycle set {DRIVER} activate",
@@ -59,28 +60,27 @@ class Attendant:
         Raises:
             JobError: no node of the arm runs.
         """
-        client, where = self._client, self._namespace or "/"
-        own = client.node.get_name()
+        client, reports, where = self._client, self._reports, self._namespace or "/"
 
         def there() -> set[str]:
             found = client.node.get_node_names_and_namespaces()
-            here = {name for name, space in found if space == where and name != own}
-            return here & KNOWN
+            return {name for name, space in found if space == where} & KNOWN
+
+        def is_of_others() -> bool:
+            return reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
 
         kept = [str(stop) for stop in kept_stops(state_folder())]
         if not client.wait(there, FOUND_S):
             said = f"no node of an arm runs in namespace {where}"
             running = "does `longarm up` run, in this ROS_DOMAIN_ID?"
             raise JobError("; ".join((f"{said} ({running})", *kept)))
-
-        begun, reports = time.monotonic(), self._reports
+        begun = time.monotonic()
 
         def heard() -> bool:
             named, announced = there(), time.monotonic() - begun > ANNOUNCED_S
-            other = reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
-            driver = self._driver is not None or (DRIVER not in named and (other or announced))
+            alone = DRIVER not in named and (is_of_others() or announced)
             known = named if announced else named | {KINEMATICS}
-            return driver and known <= set(reports.nodes)
+            return (self._driver is not None or alone) and known <= set(reports.nodes)
 
         if not client.wait(heard, FOUND_S):
             said = f"does not report within {FOUND_S:g} s"
@@ -91,15 +91,20 @@ class Attendant:
             gone = "is not on the graph: no target is followed until it is started"
             lost = DiagnosticStatus(level=DiagnosticStatus.ERROR, message=gone)
             reports.nodes[KINEMATICS] = {"process": lost}
-        driver = self._driver
-        words = driver_words(driver.state) if driver else ""
-        other = reports.last_message(KINEMATICS, "driver") == UNACKNOWLEDGED
-        step = _NEXT.get(driver.state, "") if driver else "" if other else "longarm up ARM"
-        if step == "longarm reset" and self._namespace:
-            step += f" --namespace {self._namespace[1:]}"
+        words = step = ""
+        if self._driver is not None:
+            words, why = driver_words(self._driver.state), self._driver.message
+            step = _NEXT.get(self._driver.state, "")
+            if step == "longarm reset" and self._namespace:
+                step += f" --namespace {self._namespace[1:]}"
+        elif is_of_others():
+            said = "another program drives the arm and does not say how it stands"
+            why = "; ".join((said, *kept))
+        else:
+            why, step = "; ".join((f"no {DRIVER} is on the graph", *kept)), "longarm up ARM"
         return {
             "driver": words,
-            "why": driver.message if driver else "; ".join((_OTHER if other else _NONE, *kept)),
+            "why": why,
             "nodes": sorted(reports.nodes),
             "troubles": [
                 {
@@ -131,10 +136,9 @@ class Attendant:
             return "nothing to reset"
         return self._ask_service(graph.RESET, Trigger.Request())
 
-    def _hear_driver(self) -> DriverState:
+    def _hear_driver(self) -> Any:
         missing = f"no {DRIVER} reports its state: does `longarm up` run, in this namespace?"
-        state: DriverState = self._client.until(lambda: self._driver, FOUND_S, missing)
-        return state
+        return self._client.until(lambda: self._driver, FOUND_S, missing)
 
     def hear_stop(self) -> str:
         """Return the driver's description of the stop in force; empty if none is."""
@@ -143,24 +147,20 @@ class Attendant:
         return str(driver.message).partition(";")[0] if asked else ""
 
     def let_go(self) -> tuple[str, str]:
-        """Switch the torque off until `take_back`.
+        """Switch the torque off until `take_back`; JobError if the arm is stopped already.
 
         Returns:
             The driver's message, and its description of this stop, which `take_back` needs.
-
-        Raises:
-            JobError: the arm is stopped already, or could not be stopped.
         """
         if others := self.hear_stop():
             raise JobError(f"nothing is done: {others}; to go on: longarm reset")
-        said = self.stop()
-        own = self._client.until(self.hear_stop, FOUND_S, "the driver does not say it stopped")
+        with self._client.putting_back():  # interrupted here, nobody would end the stop
+            said = self.stop()
+            own = self._client.until(self.hear_stop, FOUND_S, "the driver does not say it stopped")
         return said, own
 
     def take_back(self, own: str) -> str:
-        """End the emergency stop of `let_go`; return the driver's message.
-
-        ``own``: the description that `let_go` returned.
+        """End the emergency stop of `let_go`, by its description; return the driver's message.
 
         Raises:
             JobError: the stop was asked for again meanwhile, so it remains in force.
@@ -187,26 +187,12 @@ class Attendant:
         return str(answer.message)
 
 
-KNOWN = {*bringup.SIMULATED, bringup.PATHS}
-"""Nodes of an arm whose reports `Attendant.standing` waits for."""
-
-
-SIMULATED = "simulated_arm"
-
-
 def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
-    """Add a simulated fault, or remove it.
+    """Add a simulated fault, or remove it (`back`); return all that have it now, in words.
 
     Args:
         fault: parameter of `simulated_arm`: ``unplugged`` (joints) or ``covered`` (cameras).
         name: the joint or the camera.
-        back: whether the fault is removed.
-
-    Returns:
-        The fault and all names that have it now, in words.
-
-    Raises:
-        JobError: no simulated arm runs, or it has no such name.
     """
     (told,) = client.parameters(SIMULATED, fault, within_s=FOUND_S)
     names = [word for word in str(told).split() if word != name] + [name] * (not back)
@@ -218,12 +204,8 @@ def spoil(client: GraphClient, fault: str, name: str, back: bool) -> str:
 def freeze_node(client: GraphClient, node: str) -> Iterator[int]:
     """Suspend the process of a node in this context, as if it hangs; only with a simulated arm.
 
-    Yields:
-        The id of the process.
-
-    Raises:
-        InputError: no such node.
-        JobError: no such node with a simulated arm reports, or it runs on another machine.
+    Yields the id of the process. Raises JobError if no such node with a simulated arm reports, or
+    if it runs on another machine: there another program may have this id.
     """
     if node not in KNOWN:
         raise InputError("sim freeze", "NODE", node, ", ".join(sorted(KNOWN)))
@@ -234,6 +216,9 @@ def freeze_node(client: GraphClient, node: str) -> Iterator[int]:
     told = {pair.key: pair.value for pair in reports.nodes[node]["process"].values}
     process = int(told[INSTANCE].split("-")[0])
     try:
+        program = Path(f"/proc/{process}/cmdline").read_text()
+        if not re.search(rf"longarm_comp(\.nodes\.|/){node}\b", program):
+            raise ProcessLookupError
         os.kill(process, signal.SIGSTOP)
     except OSError as error:
         raise JobError("the node runs on another machine", node=node) from error

@@ -41,8 +41,6 @@ def capture(
     Raises:
         JobError: no pair of images came within 30 s, views are lacking after 600 s, or the cameras
             are mounted wrongly (`check_mounting`).
-        InputError: the size of the images changed, or an image cannot be written.
-        Interrupted: the client was stopped.
     """
     views: list[BoardView] = []
     before: BoardView | None = None
@@ -79,27 +77,22 @@ def capture(
             if save is not None:
                 save.mkdir(parents=True, exist_ok=True)
                 for name, grey in zip(("left", "right"), pair, strict=True):
-                    file = save / f"{name}{len(views):02d}.png"
-                    if not cv2.imwrite(str(file), grey):
-                        raise InputError(
-                            save, "--save", "cannot be written", "a folder to write in"
-                        )
+                    if not cv2.imwrite(f"{save}/{name}{len(views):02d}.png", grey):
+                        allowed = "a folder to write in"
+                        raise InputError(save, "--save", "cannot be written", allowed)
         elif not rests:
             tell("hold the board still")
             return False
-        lacking = list_gaps(views, size)
-        tell(f"{len(views)} of {FEWEST_VIEWS} views; " + (lacking[-1] if lacking else "done"))
-        return not lacking
+        gaps = list_gaps(views, size)
+        tell(f"{len(views)} of {FEWEST_VIEWS} views; {gaps[-1] if gaps else 'done'}")
+        return not gaps
+
+    def lacking() -> str:
+        missing = "board" if size is None else "; ".join(list_gaps(views, size))
+        return f"not within {_PATIENCE_S:g} s, {len(views)} views: {missing}"
 
     client.until(lambda: newest, 30.0, "no pair of images")
-    client.until(
-        complete,
-        _PATIENCE_S,
-        lambda: (
-            f"not within {_PATIENCE_S:g} s, {len(views)} views: "
-            + ("board" if size is None else "; ".join(list_gaps(views, size)))
-        ),
-    )
+    client.until(complete, _PATIENCE_S, lacking)
     assert size is not None
     return views, size
 

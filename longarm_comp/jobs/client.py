@@ -50,8 +50,14 @@ class Pace:
     tolerance: float | np.ndarray = JOINT_REST
 
     def __post_init__(self) -> None:
-        if self.sightings < 1:
-            raise InputError("collect", "--sightings", self.sightings, "at least 1")
+        given = (
+            ("sightings", self.sightings, 1),
+            ("dwell", self.dwell_s, 0),
+            ("move", self.move_s, 0),
+        )
+        for name, value, least in given:
+            if value < least:
+                raise InputError("collect", f"--{name}", value, f"at least {least}")
 
 
 TOLD_S = 3.0
@@ -64,26 +70,17 @@ STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
 
 
 class DriverStopped(JobError):  # noqa: N818
-    """The driver is held, in fault or in emergency stop.
-
-    Attributes:
-        held: whether it is held, so that somebody means to continue.
-    """
+    """The driver is held, in fault or in emergency stop."""
 
     def __init__(self, state: DriverState) -> None:
-        self.held = state.state == DriverState.HOLDING
+        self.held = state.state == DriverState.HOLDING  # somebody means to continue
         leads_on = "`longarm status` tells more, `longarm reset` leads on"
         why = f"the driver is {driver_words(state.state)} ({leads_on})"
         super().__init__(why, said=state.message or "nothing")
 
 
 class ArmClient(GraphClient):
-    """A client of one arm's graph: receives its joints and sightings of its tip, and moves it.
-
-    Args:
-        stop: event that ends every wait.
-        tips: topic that tells where the tip is.
-    """
+    """A client of one arm's graph: receives its joints and sightings of its tip, and moves it."""
 
     def __init__(
         self,
@@ -113,6 +110,9 @@ class ArmClient(GraphClient):
         graph.MOTION.subscription(self.node, self._on_motion)
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
+    def _on_state(self, message: DriverState) -> None:
+        self._driver = message
+
     def _on_joints(self, message: JointState) -> None:
         with suppress(InputError):
             self.joints = joints_of(message, self.arm, "joint_states")
@@ -130,19 +130,17 @@ class ArmClient(GraphClient):
         Raises:
             DriverStopped: the driver is held, in fault or in emergency stop.
         """
+
+        def driver_hears() -> bool:  # all listeners to commands are matched, not only kinematics
+            ends = self.node.get_subscriptions_info_by_topic(self._trajectory.topic_name)
+            driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
+            return driver and self._trajectory.get_subscription_count() >= len(ends)
+
         running = "does `longarm up` run in this namespace and ROS_DOMAIN_ID?"
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         # a killed driver is counted for up to 20 s
         several = "two drivers are on this graph: end one `longarm up`"
         self.until(lambda: count_drivers(self.node) < 2, within_s, several)
-
-        def driver_hears() -> bool:
-            """Tell whether all listeners to commands are matched, and not only kinematics."""
-            topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
-            ends = self.node.get_subscriptions_info_by_topic(topic)
-            driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
-            return driver and self._trajectory.get_subscription_count() >= len(ends)
-
         self.until(driver_hears, within_s, "no driver listens to joint_trajectory")
         self.until(self.driver_takes, within_s, "the driver is not ready (`longarm status`)")
         if tip:
@@ -150,9 +148,6 @@ class ArmClient(GraphClient):
             if self._tips is not graph.TIP_BY_READINGS:
                 hint = " (do the cameras publish left|right/image_raw and camera_info?)"
             self.until(lambda: self.sightings, within_s, f"no {self._tips.name}{hint}")
-
-    def _on_state(self, message: DriverState) -> None:
-        self._driver = message
 
     def _on_motion(self, message: Motion) -> None:
         if message.event == Motion.ACCEPTED and message.points:
@@ -173,9 +168,7 @@ class ArmClient(GraphClient):
         return self._driver is not None or publishers > 0
 
     def driver_takes(self, *, held: bool = False) -> bool:
-        """Return whether the driver accepts trajectories.
-
-        A driver that publishes no state counts as accepting them.
+        """Return whether the driver accepts trajectories, as one that publishes no state does.
 
         Raises:
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
@@ -229,12 +222,12 @@ class ArmClient(GraphClient):
                 joints do not arrive in time.
         """
         q, tolerance = path[-1], pace.tolerance
-        inside_since: list[tuple[float, np.ndarray]] = []
+        rest: tuple[float, np.ndarray] | None = None  # since when, and where
         stays = (np.abs(path - q) <= tolerance).all()  # no way-point leads away
-        came = start is not None and (np.abs(start - q) > tolerance).any()
-        away = [bool(stays or came)]
+        away = stays or (start is not None and (np.abs(start - q) > tolerance).any())
 
         def there() -> bool:
+            nonlocal rest, away
             self.driver_takes()
             if self._refused:
                 raise JobError(f"the driver refused the move: {self._refused}")
@@ -246,13 +239,13 @@ class ArmClient(GraphClient):
             inside = q_now is not None and bool(
                 (np.abs(q_now - q) <= tolerance).all() or (np.abs(q - end) < SAME_POSE).all()
             )
-            away[0] |= not inside or self._reached  # a passage may be too short to be heard of
-            if not inside or not away[0] or q_now is None:
-                inside_since.clear()
-            elif not inside_since or (np.abs(q_now - inside_since[0][1]) > JOINT_REST).any():
-                inside_since[:] = [(time.monotonic(), q_now)]  # it may move within a wide tolerance
+            away |= not inside or self._reached  # a passage may be too short to be heard of
+            if not inside or not away or q_now is None:
+                rest = None
+            elif rest is None or (np.abs(q_now - rest[1]) > JOINT_REST).any():
+                rest = time.monotonic(), q_now  # it may move within a wide tolerance
             rest_s = max(pace.dwell_s, TOLD_S) if self._under_way else pace.dwell_s
-            return bool(inside_since) and time.monotonic() - inside_since[0][0] >= rest_s
+            return rest is not None and time.monotonic() - rest[0] >= rest_s
 
         self.until(there, pace.arrive_s + self._patience_s, lambda: self._short_of(q, pace))
         return int(self.node.get_clock().now().nanoseconds)
@@ -286,12 +279,12 @@ class ArmClient(GraphClient):
         self.spin(0.05)  # the driver has taken it up when its joints move
         # A sighting counts if it was taken 50 ms after the joints came to rest
         after_ns = self.arrive(path, pace, start) + 50_000_000
-
         seen: list[np.ndarray] = []
 
         def over() -> bool:
+            nonlocal seen
             told = [xyz for ns, xyz in self.sightings if ns > after_ns]
-            seen[:] = [xyz for xyz in told if np.isfinite(xyz).all()]
+            seen = [xyz for xyz in told if np.isfinite(xyz).all()]
             lost = not seen and len(told) >= 2 * pace.sightings
             return len(seen) >= pace.sightings or lost
 

@@ -31,7 +31,7 @@ from longarm_comp.share import folder
 from longarm_comp.sim.plant import hidden_effects
 from longarm_comp.workflows.inputs import MODEL, PREDICTOR, load_predictor
 
-ORIGINAL, DECLARED, FOUND, LEARNED = (
+ORIGINAL, DECLARED, FOUND, LEARNED = NAMES = (
     "original",
     "declared",
     "effect found",
@@ -39,8 +39,6 @@ ORIGINAL, DECLARED, FOUND, LEARNED = (
 )
 """Names of the runs: without compensation; with the declared deflection; with the diagnosed model;
 with this model and the network."""
-
-NAMES = Names(ORIGINAL, DECLARED, FOUND, LEARNED)
 
 _PAPER = {ORIGINAL: (17.70, 223.94), DECLARED: (15.39, 215.97), LEARNED: (9.98, 180.81)}
 """Table I, 300 samples: mean of the absolute error (mm) and its variance (mm^2)."""
@@ -76,18 +74,13 @@ PACE = Pace(sightings=3, dwell_s=0.05, move_s=0.05, look_s=30.0, tolerance=2e-4)
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """The settings of one demonstration.
-
-    Attributes:
-        hidden: undeclared effects of the simulated arm, ``name=mm``.
-        speed: factor by which motions are faster than the servo file says.
-    """
+    """The settings of one demonstration."""
 
     out: Path
     poses: int = 120
     targets: int = 40
-    hidden: str = "joint_compliance=8.0 backlash=3.0"
-    speed: float = 20.0
+    hidden: str = "joint_compliance=8.0 backlash=3.0"  # undeclared effects of the arm, ``name=mm``
+    speed: float = 20.0  # factor by which motions are faster than the servo file says
     seed: int = 1
     arm: Path = field(default_factory=lambda: folder("config") / "arm_demo_steps.yaml")
 
@@ -96,9 +89,8 @@ class DemoSettings:
 
     @property
     def loop(self) -> LoopSettings:
-        return LoopSettings(
-            self.out, 1, self.poses, self.targets, seed=self.seed, pace=PACE, names=NAMES
-        )
+        sizes = 1, self.poses, self.targets
+        return LoopSettings(self.out, *sizes, seed=self.seed, pace=PACE, names=Names(*NAMES))
 
     def graph(self) -> BringUp:
         """Return the graph to start. Its nodes read model and predictor once these files exist."""
@@ -123,11 +115,7 @@ class DemoSettings:
 
 
 def _true_tip(client: ArmClient) -> Witness:
-    """Return the tip of the simulation as a `Witness`.
-
-    It is a function of a time (ns) that waits for a later message on `simulated_arm/true_tip` and
-    returns its position (3,), m.
-    """
+    """Return a function that waits for the tip of the simulation after a time (ns)."""
     heard: deque[tuple[int, np.ndarray]] = deque(maxlen=1)
 
     def hear(message: PointStamped) -> None:
@@ -191,18 +179,15 @@ def demonstrate(
     }
 
 
-_LOGS = "log"
-
-
 def prepare(settings: DemoSettings) -> None:
     """Make the output folder, and let ROS write its logs there and stay on this machine.
 
     Raises:
         InputError: the folder holds more than the logs of a failed start.
     """
-    out = settings.out
-    if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {_LOGS}):
+    out, logs = settings.out, "log"
+    if out.exists() and (not out.is_dir() or {p.name for p in out.iterdir()} - {logs}):
         raise InputError("demo", "--out", out, "a new or empty folder")
     check_writable(out)
-    os.environ.setdefault("ROS_LOG_DIR", str(out.absolute() / _LOGS))
+    os.environ.setdefault("ROS_LOG_DIR", str(out.absolute() / logs))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")

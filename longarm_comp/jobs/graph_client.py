@@ -49,10 +49,7 @@ def count_drivers(node: Node) -> int:
 
 
 class Call:
-    """A request to a service that waits for its response.
-
-    ``again``: whether the request is repeated without one, as `GraphClient.call` explains.
-    """
+    """A request to a service that waits for its response, and is repeated (`again`) without one."""
 
     def __init__(self, client: Any, request: Any, *, again: bool) -> None:
         self._client, self._request, self._again = client, request, again
@@ -112,17 +109,12 @@ class GraphClient:
         """
         found = self.wait(condition, within_s)
         if not found:
-            raise JobError(
-                f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
-            )
+            said = f"{what}: not within {within_s:g} s" if isinstance(what, str) else what()
+            raise JobError(said)
         return found
 
     def wait(self, condition: Callable[[], Any], at_most_s: float) -> Any:
-        """Spin until a condition is truthy, or for ``at_most_s``, s; return its last value.
-
-        Raises:
-            Interrupted: ``stop`` was set.
-        """
+        """Spin until a condition is truthy, or for ``at_most_s``, s; return its last value."""
         end = time.monotonic() + at_most_s
         while not (found := condition()):
             if self.stop.is_set():
@@ -148,7 +140,7 @@ class GraphClient:
     def call(
         self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
     ) -> Any:
-        """Call a service and return its response.
+        """Call a service and return its response; JobError if none comes in time.
 
         Responses can be lost: the middleware drops one if the server has not discovered the client
         yet. A killed server is listed as available for some seconds.
@@ -158,10 +150,6 @@ class GraphClient:
             again: repeat the request until a response comes. Use it only for requests that do no
                 harm if they are served twice or late. To end a stop is none of them: a repetition
                 could end a later stop.
-
-        Raises:
-            JobError: no server or no response in time.
-            Interrupted: ``stop`` was set.
         """
         self.until(client.service_is_ready, within_s, f"nobody offers {client.srv_name}")
         asked = Call(client, request, again=again)
@@ -212,15 +200,11 @@ def reports_of(message: DiagnosticArray, namespace: str) -> dict[str, dict[str, 
 
 
 class Reports:
-    """Collects the reports on /diagnostics of the nodes in a client's namespace, from now on.
-
-    Attributes:
-        nodes: last status, by name of the node and of its part.
-    """
+    """Collects the reports on /diagnostics of the nodes in a client's namespace, from now on."""
 
     def __init__(self, client: GraphClient) -> None:
         self._client = client
-        self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}
+        self.nodes: dict[str, dict[str, DiagnosticStatus]] = {}  # the last, by node and part
         self._heard = graph.DIAGNOSTICS.subscription(client.node, self._on_diagnostics)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:

@@ -18,7 +18,7 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work
+from longarm_comp.jobs.apply import FilesAtWork, apply_on_graph, files_at_work, undo_command
 from longarm_comp.jobs.client import ArmClient, Pace
 from longarm_comp.jobs.collect.run import collect
 from longarm_comp.jobs.collect.visits import list_visits
@@ -81,20 +81,13 @@ class Names:
 
 @dataclass(frozen=True)
 class LoopSettings:
-    """The settings of a loop.
-
-    Attributes:
-        rounds: largest number of rounds.
-        poses: number of poses to measure in a round.
-        targets: number of fresh targets by which the gain is judged.
-        network: whether to train a predictor in every round.
-    """
+    """The settings of a loop."""
 
     out: Path
-    rounds: int = 3
-    poses: int = 180
-    targets: int = 40
-    network: bool = True
+    rounds: int = 3  # at most
+    poses: int = 180  # to measure in a round
+    targets: int = 40  # fresh ones, by which the gain is judged
+    network: bool = True  # a predictor is trained in every round
     seed: int = 1
     pace: Pace = field(default_factory=Pace)
     names: Names = field(default_factory=Names)
@@ -102,8 +95,8 @@ class LoopSettings:
     def __post_init__(self) -> None:
         # With fewer poses the diagnosis cannot weigh a library of some 170 parameters
         for name, least in (("rounds", 1), ("poses", 60), ("targets", 2)):
-            if getattr(self, name) < least:
-                raise InputError("loop", f"--{name}", getattr(self, name), f"at least {least}")
+            if (given := getattr(self, name)) < least:
+                raise InputError("loop", f"--{name}", given, f"at least {least}")
 
     def path(self, what: str, k: int) -> Path:
         """Return a file or folder of round k: ``session``, ``session_2``, ..."""
@@ -165,10 +158,8 @@ class Journal:
 class Loop:
     """Rounds of collecting, diagnosing, applying and driving targets again, on a running graph.
 
-    Args:
-        agree: shows a diagnosis and tells whether to apply it.
-        witness: another instrument that measures the tip, if there is one.
-        resume: continue an interrupted loop in the same folder.
+    ``agree`` shows a diagnosis and tells whether to apply it. ``witness`` is another instrument
+    that measures the tip.
     """
 
     def __init__(
@@ -222,10 +213,8 @@ class Loop:
             self._drive_phase(names.before, targets, now),
         ]
         rounds: list[dict[str, Any]] = []
-        for k in range(1, self._settings.rounds + 1):
-            rounds.append(self._run_round(k, files, targets, method, trials))
-            if not rounds[-1]["again"]:
-                break
+        while len(rounds) < self._settings.rounds and (not rounds or rounds[-1]["again"]):
+            rounds.append(self._run_round(len(rounds) + 1, files, targets, method, trials))
         return trials, self._write_result(files, chosen["refused"], trials, rounds)
 
     def _drive_phase(self, name: str, targets: np.ndarray, method: Method) -> Trial:
@@ -290,7 +279,7 @@ class Loop:
             list_visits(plan, self._client.arm, repeats=repeats, seed=seed),
             bag,
             pace=settings.pace,
-            resume=(bag / "metadata.yaml").is_file(),
+            resume=bag.exists(),
             progress=lambda now: self._say(str(now), now.share),
         )
         blocked = Counter(f"no way there: {why.partition(':')[0]}" for why in done.blocked.values())
@@ -327,7 +316,7 @@ class Loop:
             "version": done.version,
             "predictor": None if done.predictor is None else str(done.predictor),
             "network_refused": done.refused,
-            "undo": done.undo,
+            "undo": undo_command(done, files),
             "changes": [
                 {"text": str(c)} | {name: getattr(c, name) for name in _CHANGE}
                 for c in done.changes

@@ -80,8 +80,7 @@ class Recorder:
     def keep(self, *, since_ns: int = 0, finish: bool = False) -> None:
         """Write the waiting messages that `about` returns, and forget all others.
 
-        Args:
-            finish: end the segment, so that the messages can be read at once.
+        With `finish` the segment ends, so that they can be read at once.
         """
         for topic, kind, received, raw in self.about(since_ns):
             self._bag.write(topic, kind, received, raw)
@@ -111,15 +110,12 @@ class Recorder:
 
     def waits_for(self) -> list[str]:
         """List the `HELD_TOPICS` that another node publishes, but of which no message has come."""
-        heard = {topic for topic, *_ in self.waiting} | set(self.counts)
-        return [
-            name
-            for name in sorted(self._held - heard)
-            if any(
-                found.node_name != self._node.get_name()
-                for found in self._node.get_publishers_info_by_topic(name)
-            )
-        ]
+        silent, waits = self._held - {topic for topic, *_ in self.waiting} - set(self.counts), []
+        for name in sorted(silent):
+            publishers = self._node.get_publishers_info_by_topic(name)
+            if any(each.node_name != self._node.get_name() for each in publishers):
+                waits.append(name)
+        return waits
 
 
 def record(

@@ -47,21 +47,13 @@ WITHOUT, COMPENSATED = "without compensation", "with compensation"
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """A run over N targets, and where the tip came to rest.
+    """A run over N targets, and where the tip came to rest."""
 
-    Attributes:
-        name: what was compensated, in words.
-        target: (N, 3) m.
-        seen: (N, 3) mean sighting of the cameras, m; NaN where the marker was lost.
-        true: (N, 3) tip by another instrument, m; NaN without one.
-        status: (N,) status that the service returned, as a number of `Status`.
-    """
-
-    name: str
-    target: np.ndarray
-    seen: np.ndarray
-    true: np.ndarray
-    status: np.ndarray
+    name: str  # what was compensated, in words
+    target: np.ndarray  # (N, 3) m
+    seen: np.ndarray  # (N, 3) mean sighting of the cameras, m; NaN where the marker was lost
+    true: np.ndarray  # (N, 3) tip by another instrument, m; NaN without one
+    status: np.ndarray  # (N,) status that the service returned, as a number of `Status`
 
     @property
     def off(self) -> np.ndarray:
@@ -89,43 +81,33 @@ class Trial:
 
 
 class TargetRunner:
-    """Drives targets on a graph.
-
-    Args:
-        witness: another instrument that measures the tip, if there is one.
-
-    Attributes:
-        placed_in: frame of the sightings, if its place was unknown, so that each run placed it by
-            its own sightings; else empty.
-    """
+    """Drives targets on a graph; ``witness`` is another instrument that measures the tip."""
 
     def __init__(self, client: ArmClient, pace: Pace, witness: Witness | None = None) -> None:
         self._client, self._pace, self._witness = client, pace, witness
         self._compensate = {m: graph.compensate_by(m.value).client(client.node) for m in Method}
         self._frame = "base"
         self.placed_in = ""
+        """Frame of the sightings, if nobody knows its place, so that each run placed it."""
 
     def ready(self, target: np.ndarray, within_s: float) -> None:
         """Wait until kinematics knows the joints, so that it can answer for a target (3,), m."""
-        client = self._client
-        reports = Reports(client)
-        said = partial(reports.last_message, "kinematics", "targets")
+        client, reports = self._client, Reports(self._client)
+
+        def hears() -> bool:
+            return reports.last_message("kinematics", "targets") not in ("", NO_JOINTS)
 
         def knows() -> bool:
             answer = self.ask(target, Method.NONE, execute=False)
             return bool(answer.status != Compensate.Response.NOT_READY)
 
-        deaf = "kinematics hears no joint_states"
-        client.until(lambda: said() not in ("", NO_JOINTS), within_s, deaf)
+        client.until(hears, within_s, "kinematics hears no joint_states")
         reports.close()
         (self._frame,) = client.parameters("kinematics", "base_frame")
         client.until(knows, within_s, "kinematics has no joint_states")
 
     def refusals(self, targets: np.ndarray, methods: Sequence[Method]) -> list[str]:
-        """Say for each target (N, 3), m, why the graph refuses it with one of these methods.
-
-        A target that it accepts with all of them has "".
-        """
+        """Say for each target (N, 3), m, why the graph refuses it with a method, or ""."""
         why = [""] * len(targets)
         for method in methods:
             for k, target in enumerate(targets):
@@ -147,13 +129,7 @@ class TargetRunner:
         return Trial(name, targets, self._in_base(seen, targets), true, status)
 
     def _in_base(self, seen: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """Return sightings (N, 3), m, in the base frame.
-
-        If the place of their frame is unknown, they are registered to the targets.
-
-        Raises:
-            JobError: fewer than `PLACING` targets were seen in an unknown frame.
-        """
+        """Return sightings (N, 3), m, in the base; in an unknown frame they are laid on targets."""
         frame = self._client.seen_in
         if frame in ("", self._frame, prefix_of(self._client.node) + self._frame):
             return seen
@@ -180,12 +156,7 @@ class TargetRunner:
     def _drive_target(
         self, target: np.ndarray, method: Method
     ) -> tuple[np.ndarray, np.ndarray, int]:
-        """Drive to one target (3,), m, with a method.
-
-        Returns:
-            The tip (3,), m, as the cameras and as another instrument see it, NaN if not seen; and
-            the status.
-        """
+        """Drive to one target; return the tip as seen and as it is (NaN if unknown), the status."""
         client = self._client
         start = client.joints
         answer = self.ask(target, method, execute=True)
@@ -205,12 +176,9 @@ class TargetRunner:
 def choose_targets(
     runner: TargetRunner, draw: Draw, n: int, methods: tuple[Method, ...]
 ) -> tuple[np.ndarray, list[Refused]]:
-    """Return up to n targets (N, 3), m, that the graph accepts with every method.
+    """Return up to n targets (N, 3), m, that the graph accepts with every method, and the others.
 
-    Also return the targets that it refused. Nothing moves.
-
-    Raises:
-        JobError: fewer than two targets are accepted.
+    Nothing moves. Raises JobError if fewer than two targets are accepted.
     """
     kept: list[np.ndarray] = []
     refused: list[Refused] = []

@@ -33,28 +33,19 @@ ENOUGH = 8
 
 @dataclass
 class TouchLog:
-    """The touches of one arm, in the order in which they were taken.
-
-    Attributes:
-        before: the session to which they are added, if there is one.
-        rows: the joints (n,), the column (``touch`` or ``plane``) and the name in it, for each.
-    """
+    """The touches of one arm, in the order in which they were taken."""
 
     arm: Arm
     distances: tuple[KnownDistance, ...] = ()
-    before: Session | None = None
+    before: Session | None = None  # the touches are added to it
     rows: list[tuple[np.ndarray, str, str]] = field(default_factory=list)
+    """The joints (n,), the column (``touch`` or ``plane``) and the name in it, for each."""
 
     def __len__(self) -> int:
         return len(self.rows) + (0 if self.before is None else len(self.before))
 
     def begin_with(self, before: Session) -> None:
-        """Add to the rows and known distances of an earlier session.
-
-        Raises:
-            InputError: a row is not one touch of a point or a plane, or every row has a number that
-                a touch does not record.
-        """
+        """Add to the rows and known distances of an earlier session, which must be of touches."""
         for k in range(len(before)):
             named = [c for c in ("touch", "plane") if before.labels.get(c, [""] * (k + 1))[k]]
             if len(named) != 1 or np.isfinite(before.xyz[k]).any():
@@ -107,10 +98,7 @@ class TouchLog:
         return made if self.before is None else self.before.followed_by(made)
 
     def spread_m(self) -> np.ndarray | None:
-        """Fit the touches and return the distance (m) of each from its point.
-
-        None if there are fewer than `ENOUGH`, or the fit fails.
-        """
+        """Fit the touches; return the distance (m) of each from its point, None if it fails."""
         whole = self.session()
         if np.isfinite(whole.reading(KINDS["touch"])).sum() < ENOUGH:
             return None
@@ -137,10 +125,8 @@ def _is_seated(client: ArmClient) -> bool:
 def release_servos(client: GraphClient) -> Iterator[str]:
     """Switch the servos' torque off within the block, so that a hand can guide the arm.
 
-    Yields the driver's answer. A stop that somebody else requested stays in force.
-
-    Raises:
-        JobError: the arm is stopped already, or was stopped again within the block.
+    Yields the driver's answer. Raises JobError if the arm is stopped already, or was stopped again
+    within the block: such a stop stays in force.
     """
     attendant = Attendant(client)
     said, own = attendant.let_go()
@@ -155,9 +141,6 @@ def wait_for_rest(client: ArmClient) -> np.ndarray:
     """Wait until the joints rest, and return the mean (n,) of `READINGS` readings, rad and m.
 
     Readings that were waiting in the queue are skipped, because they may be from the last move.
-
-    Raises:
-        JobError: the joints do not rest within `PATIENCE_S`.
     """
     client.joints = None
     client.until(lambda: client.joints is not None, PATIENCE_S, "no joint_states")

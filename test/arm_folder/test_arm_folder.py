@@ -92,8 +92,10 @@ def test_a_dh_table_has_tubes_and_servos_with_their_masses(shell: Shell) -> None
 
 
 def test_a_urdf_is_narrowed_about_its_home(shell: Shell) -> None:
-    folder = made(shell, "ur5", *UR5, "--home", "elbow_joint=60", "--range", "30")
+    words = ("--home", "elbow_joint=60", "--range", "30", "--name", "left")
+    folder = made(shell, "ur5", *UR5, *words)
     arm = Arm.load(folder / "arm.yaml")
+    assert arm.name == "left"
     elbow = arm.joint_names.index("elbow_joint")
     np.testing.assert_allclose(np.degrees([arm.lower[elbow], arm.upper[elbow]]), [45, 75])
     np.testing.assert_allclose(np.degrees(arm.upper[0]), 15)
@@ -205,6 +207,11 @@ def test_servos_stand_at_the_steps_that_the_arm_declares(shell: Shell) -> None:
         (("--urdf", "no.urdf"), "no.urdf"),
         (("--arm", "no.yaml"), "no.yaml"),
         (("--joint", "a=0.1 d=0.1", "--home", "joint1"), "--home"),
+        (("--like", "demo", "--name", "mine"), "--name: 'mine'; allowed: with --urdf or --joint"),
+        (("--arm", "a.yaml", "--range", "30"), "--range: 30.0; allowed: with --urdf or --joint"),
+        (("--joint", "d=0.1", "--tip", "tool"), "--tip: 'tool'; allowed: with --urdf alone"),
+        (("--urdf", "a.urdf", "--payload", "1"), "--payload: 1.0; allowed: with --joint alone"),
+        (("--like", "demo", "--hobby"), "--hobby: True; allowed: with --urdf or --arm or --joint"),
     ],
 )
 def test_a_wrong_answer_is_one_line_and_leaves_nothing(

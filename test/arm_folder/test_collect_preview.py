@@ -144,6 +144,30 @@ def test_poses_outside_are_counted_with_the_joint(hobby: Path) -> None:
     assert "joint3 outside" in blocked_visits(found, todo)[1]
 
 
+@pytest.mark.parametrize("ticks", [-1.0, 0.3, 0.8])
+def test_a_run_up_beyond_the_servos_limits_is_found_before_the_driver_refuses_it(
+    hobby: Path, ticks: float
+) -> None:
+    """A run-up that begins so many ticks beyond the limit of its servo, and a pose inside."""
+    arm, servos = Arm.load(hobby / "arm.yaml"), ServoConfig.load(hobby / "servo_driver.yaml")
+    name, sides = arm.joint_names[0], np.zeros((1, arm.n))
+    sides[0, 0] = -1.0
+    (visit,) = list_visits(Plan(arm.mid[None], sides), arm)
+    assert visit.path[0, 0] > visit.q[0]
+    joint = servos.joints[name]
+    joint = joint.model_copy(update={"upper": visit.path[0, 0] - ticks * joint.si_per_tick})
+    servos = servos.model_copy(update={"joints": {**servos.joints, name: joint}})
+    refused = False
+    try:
+        joint.check_inside(float(visit.path[0, 0]), "joint_trajectory", "points[0]")
+    except InputError:
+        refused = True
+    assert refused == (ticks > 0.5)
+    assert set(blocked_visits(plan_checks(arm, [visit], servos=servos), [visit])) == (
+        {0} if refused else set()
+    )
+
+
 def test_the_commands_show_a_plan_and_move_nothing(hobby: Path, shell: Shell) -> None:
     arm = hobby / "arm.yaml"
     view = view_beside(arm)

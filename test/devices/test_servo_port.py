@@ -21,6 +21,11 @@ from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 MODELS = ("feetech", "dynamixel")
 
 
+def test_ids_that_are_none_are_refused_by_the_name_of_the_command(shell: Shell) -> None:
+    words = ("servo", "set-id", 3, "--port", "none", "--ids", "5-")
+    assert "servo set-id: --ids: '5-'" in shell.refused(*words)
+
+
 @pytest.mark.parametrize("protocol", MODELS)
 def test_ids_are_set_one_servo_at_a_time_and_outlive_the_power(protocol: str, shell: Shell) -> None:
     with ServoEmulator(protocol, {1: 2048.0}) as alone:

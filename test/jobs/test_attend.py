@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -28,7 +32,10 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
+from longarm_comp.jobs.graph_client import Interrupted
+from longarm_comp.jobs.touch import release_servos
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.health import INSTANCE
 from longarm_interfaces.msg import DriverState
 
 TWO_JOINTS = Arm.parse(
@@ -115,6 +122,29 @@ def test_without_an_arm_the_command_says_so(
         pass
 
 
+def test_another_program_with_the_id_of_a_node_elsewhere_is_left_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The node runs on another machine, where its process has an id that is in use here."""
+    with subprocess.Popen(["sleep", "600"]) as program:
+        values = [SimpleNamespace(key=INSTANCE, value=f"{program.pid}-0")]
+        nodes = {name: {"process": SimpleNamespace(values=values)} for name in attend.KNOWN}
+        reports = MagicMock(return_value=MagicMock(nodes=nodes))
+        monkeypatch.setattr(attend, "Reports", reports)
+        sent: list[int] = []
+        try:
+            with (
+                monkeypatch.context() as patch,
+                pytest.raises(JobError, match="another machine"),
+            ):
+                patch.setattr(os, "kill", lambda pid, number: sent.append(number))
+                with attend.freeze_node(MagicMock(), "kinematics"):
+                    pass
+        finally:
+            program.kill()
+    assert not sent
+
+
 def test_a_job_names_the_state_of_a_stopped_driver_at_once(rig: Rig, shell: Shell) -> None:
     assert shell("hold") == 0
     with ArmClient(TWO_JOINTS) as client:
@@ -182,6 +212,28 @@ def test_a_hand_guides_the_arm_while_touches_are_taken(
     assert rig.free()
     assert "nothing is done: emergency stop since" in shell.refused(*again, code=3)
     assert shell("reset") == 0, shell.err
+    rig.is_in(DriverState.READY)
+
+
+def test_torque_is_on_again_after_a_signal_while_it_went_off(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = attend.Attendant.stop
+
+    def stop_and_signal(attendant: attend.Attendant) -> str:
+        said = stop(attendant)
+        signalled.set()
+        return said
+
+    monkeypatch.setattr(attend.Attendant, "stop", stop_and_signal)
+    signalled = threading.Event()
+    with (
+        ArmClient(TWO_JOINTS, stop=signalled) as client,
+        pytest.raises(Interrupted),
+        release_servos(client),
+    ):
+        client.spin(1.0)
+    rig.stage.spin(rig.driving)
     rig.is_in(DriverState.READY)
 
 

@@ -32,6 +32,7 @@ from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.jobs.client import Pace
 from longarm_comp.jobs.collect.run import visits_in_bag
 from longarm_comp.jobs.collect.visits import Visit, list_visits, plan_checks
 from longarm_comp.sessions.bag import bag_info, open_bag
@@ -56,6 +57,13 @@ def sides_of(visit: Visit) -> tuple[int, ...]:
     """The side that each joint arrives from."""
     assert len(visit.path) == 2
     return tuple(np.sign(visit.path[1] - visit.path[0]).astype(int).tolist())
+
+
+@pytest.mark.parametrize(("option", "value"), [("sightings", 0), ("dwell_s", -1), ("move_s", -1)])
+def test_a_pace_without_rest_is_refused(option: str, value: int) -> None:
+    """With a negative rest the arm would be measured while it moves."""
+    with pytest.raises(InputError, match=f"--{option.partition('_')[0]}: {value}"):
+        Pace(**{option: value})
 
 
 def test_visits_are_the_plan_with_repeats_in_random_order(arm: Arm) -> None:

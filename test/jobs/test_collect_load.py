@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -34,6 +35,7 @@ from longarm_comp.jobs.collect.visits import list_visits
 from longarm_comp.jobs.loop import Loop, LoopSettings
 from longarm_comp.jobs.loop_plan import plan_round
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 
@@ -201,6 +203,17 @@ def test_a_round_takes_what_the_arm_can_do_as_it_is(
         assert outside_boxes(declared_model(boxed), first).all() and len(first) == 30
         blocked = {k: f"wall: the arm would enter it near {k} m" for k in range(4)}
         done = Collected(50, 10, 70, {}, blocked)
-        monkeypatch.setattr("longarm_comp.jobs.loop.collect", lambda *_, **how: done)
+        given: dict[str, bool] = {}
+
+        def collected(client: ArmClient, todo: object, bag: Path, **how: Any) -> Collected:
+            with SegmentedBag(bag, resume=how["resume"]):
+                given.update(resume=how["resume"])
+            return done
+
+        monkeypatch.setattr("longarm_comp.jobs.loop.collect", collected)
         loop = Loop(client, LoopSettings(tmp_path / "loop"), lambda report: True)
-        assert loop._collect_rows(1) == {"made": 60, "not_driven": {"no way there: wall": 4}}
+        made = {"made": 60, "not_driven": {"no way there: wall": 4}}
+        assert loop._collect_rows(1) == made and not given["resume"]
+        shutil.rmtree(tmp_path / "loop" / "session")
+        (tmp_path / "loop" / "session").mkdir()  # as a kill leaves it before the first message
+        assert loop._collect_rows(1) == made

@@ -174,6 +174,20 @@ def test_apply_that_is_broken_off(
     assert ("run the same command again" in " ".join(before)) == begun
 
 
+def test_apply_says_how_to_take_back_a_predictor_in_another_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    model, predictor = tmp_path / "work" / "model.yaml", tmp_path / "elsewhere" / "predictor.npz"
+    client, said = MagicMock(), []
+    client.parameters.side_effect = [(str(EXAMPLE), str(model)), (str(predictor),)]
+    done = MagicMock(undo=f"longarm undo {model}")
+    monkeypatch.setattr(apply_job, "apply", lambda *_, **__: done)
+    assert apply_job.apply_on_graph(client, tmp_path / "diagnosis", note=said.append) is done
+    assert [text.partition(": ")[0] for text in said] == [
+        f"longarm undo {model} --predictor {predictor}"
+    ]
+
+
 def test_a_model_that_a_node_refuses_is_put_back_with_its_predictor(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

@@ -139,7 +139,7 @@ def test_the_predictor_of_a_network_of_others_is_kept_and_returns(
 
 
 def test_a_predictor_in_another_folder_returns_too(
-    diagnosed: Callable[..., Path], tmp_path: Path
+    diagnosed: Callable[..., Path], tmp_path: Path, shell: Shell
 ) -> None:
     model, predictor = at_work(tmp_path), tmp_path / "elsewhere" / "predictor.npz"
     apply(diagnosed("first"), ARM, model, predictor)
@@ -149,6 +149,7 @@ def test_a_predictor_in_another_folder_returns_too(
     for taken_back in (
         lambda: undo(model, predictor),
         lambda: take_back(second, model, predictor),
+        lambda: shell("undo", model, "--predictor", predictor),
     ):
         apply(second, ARM, model, predictor)
         assert predictor.read_bytes() != before

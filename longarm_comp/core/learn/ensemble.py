@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.inputs import Encoding, check_rows, fit_encoding
+from longarm_comp.core.learn.inputs import check_rows, fit_encoding
 from longarm_comp.core.learn.network import NetworkShape
 from longarm_comp.core.learn.predictor import LearnedGain, Predictor, Provenance
 from longarm_comp.core.model.uncertainty import LEVEL
@@ -69,7 +69,14 @@ def train(
             ``cuda``.
     """
     q, known = check_rows("train", q, context)
-    y = _checked_targets(q, residual)
+    y = np.asarray(residual, float)
+    if y.shape != (len(q), 3):
+        raise InputError("train", "residual", f"shape {y.shape}", f"({len(q)}, 3) in m")
+    if not np.isfinite(y).all():
+        row = int(np.argwhere(~np.isfinite(y))[0, 0])
+        raise InputError("train", f"residual of row {row}", y[row], "finite (drop lost markers)")
+    if len(q) < _FEWEST_ROWS:
+        raise InputError("train", "samples", len(q), f">= {_FEWEST_ROWS}")
     for name, given, fine, allowed in (
         ("init", init, init in (None, "ssa", "xavier"), "ssa or xavier"),
         ("hidden", hidden, hidden is None or 1 <= hidden <= 500, "an integer in 1..500"),
@@ -124,7 +131,11 @@ def train(
         provenance=replace(origin, settings={**origin.settings, **settings}),
         network=network,
     )
-    probe = _draw_probe(x, encoding, np.random.default_rng([seed]))
+    # Inputs all over the training region: random joints, circumstances of random rows
+    rng, joints = np.random.default_rng([seed]), int(encoding.is_joint.sum())
+    probe = x[rng.integers(0, len(x), 2000)]
+    low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
+    probe[:, :joints] = rng.uniform(low, high, (len(probe), joints))
     root = fits[0].pad(shape, fits[0].root)
     draft = replace(draft, posterior=_find_leading_directions(draft, root, probe))
     left = y.copy()
@@ -166,11 +177,7 @@ class _Learner:
     device: str
 
     def train_batch(self, units: int, rows: NDArray[np.bool_]) -> list[_Fit]:
-        """Train M networks with `units` hidden units as one batch.
-
-        Args:
-            rows: (M, N) mask of the rows that each network is trained on.
-        """
+        """Train M networks with `units` hidden units as one batch, each on its `rows` (M, N)."""
         import torch
 
         from longarm_comp.core.learn.sparrow import SparrowSearch
@@ -217,13 +224,9 @@ class _Learner:
     def find_likeliest(
         self, sizes: Sequence[int], starts: int, tell: Callable[[int], None]
     ) -> list[_Fit]:
-        """Train networks of rising size until the evidence falls; return the likeliest first.
+        """Train `starts` networks of each rising size until the evidence falls; likeliest first.
 
         A size with more than 1.5 weights per row is not tried, unless it is the first.
-
-        Args:
-            starts: number of networks of each size.
-            tell: called with the number of networks trained so far.
         """
         fits = list[_Fit]()
         for units in sizes:
@@ -268,20 +271,10 @@ def _calibrate(draft: Predictor, y: Array, left: Array, x: Array, probe: Array) 
     )
 
 
-def _draw_probe(x: Array, encoding: Encoding, rng: np.random.Generator) -> Array:
-    """Draw inputs (2000, d) in the training region: random joints, circumstances of random rows."""
-    joints = int(encoding.is_joint.sum())
-    probe = x[rng.integers(0, len(x), 2000)]
-    low, high = x[:, :joints].min(axis=0), x[:, :joints].max(axis=0)
-    probe[:, :joints] = rng.uniform(low, high, (len(probe), joints))
-    return probe
-
-
 def _find_leading_directions(draft: Predictor, root: Array, probe: Array) -> NDArray[np.float32]:
     """Return the leading directions (r, D) of the posterior of the weights.
 
-    They hold 99.5 % of the Laplace variance of the outputs over the training region, at a fraction
-    of the cost.
+    They hold 99.5 % of the Laplace variance of the outputs over the training region.
     """
     jacobian = draft.members.jacobian(probe[:500])
     spread = jacobian.reshape(-1, jacobian.shape[-1]) @ root.T
@@ -289,15 +282,3 @@ def _find_leading_directions(draft: Predictor, root: Array, probe: Array) -> NDA
     carried = np.cumsum(values[::-1]) / values.sum()
     count = int(np.searchsorted(carried, 0.995)) + 1
     return np.ascontiguousarray(vectors[:, ::-1][:, :count].T @ root, dtype=np.float32)
-
-
-def _checked_targets(q: Array, residual: Array) -> Array:
-    y = np.asarray(residual, float)
-    if y.shape != (len(q), 3):
-        raise InputError("train", "residual", f"shape {y.shape}", f"({len(q)}, 3) in m")
-    if not np.isfinite(y).all():
-        row = int(np.argwhere(~np.isfinite(y))[0, 0])
-        raise InputError("train", f"residual of row {row}", y[row], "finite (drop lost markers)")
-    if len(q) < _FEWEST_ROWS:
-        raise InputError("train", "samples", len(q), f">= {_FEWEST_ROWS}")
-    return y

@@ -81,11 +81,7 @@ class Encoding:
 
 
 def _raw_columns(q: Array, context: Context, used: tuple[str, ...]) -> Array:
-    """Return the joints (N, n) and the `used` circumstances side by side, (N, columns), SI units.
-
-    The side of arrival gives its mean over the joints whose side is known, then the difference of
-    each joint from that mean.
-    """
+    """Return the joints and the `used` circumstances side by side, (N, columns), SI units."""
     made = [q]
     for name in used:
         if name not in PER_JOINT:

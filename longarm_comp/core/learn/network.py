@@ -53,26 +53,20 @@ class TanhMembers:
     weights: Array  # (M, D)
 
     @cached_property
-    def _layers(self) -> tuple[Array, Array]:
-        """Weights V (M, d+1, H) and W (M, H+1, k)."""
-        v, w = self.shape.split(self.weights)
-        return v, w
-
-    @cached_property
     def _mean(self) -> tuple[Array, Array]:
         """The mean of all members as one network: V (d+1, M H), and W without its bias (M H, k)."""
-        v, w = self._layers
+        v, w = self.shape.split(self.weights)
         return np.concatenate(v, axis=1), np.concatenate(w[:, :-1]) / len(w)
 
     def outputs(self, x: Array) -> Array:
         """Return outputs (M, N, k) of inputs (N, d)."""
-        v, w = self._layers
+        v, w = self.shape.split(self.weights)
         made: Array = np.tanh(_with_ones(x) @ v) @ w[:, :-1] + w[:, -1:]
         return made
 
     def jacobian(self, x: Array) -> Array:
         """Return the derivatives (N, k, D) of the first member's outputs by its weights."""
-        v, w = (layer[0] for layer in self._layers)
+        v, w = self.shape.split(self.weights[0])
         x1, k = _with_ones(x), self.shape.outputs
         z = np.tanh(x1 @ v)
         back = (1.0 - z * z)[:, None] * w[:-1].T  # (N, k, H)

@@ -95,8 +95,7 @@ class TorchMembers:
 def load_file(path: str | Path) -> NetworkKind:
     """Execute a Python file that defines ``network(inputs, outputs)``; return its network.
 
-    The network has the name of the file without ``.py``. Raises InputError if the file cannot be
-    executed or defines no such function.
+    The network has the name of the file without ``.py``. Raises InputError for another file.
     """
     path = Path(path)
     module = execute_file(path, "network")
@@ -109,10 +108,7 @@ def load_file(path: str | Path) -> NetworkKind:
 
 
 def choose_network(given: str | Path) -> NetworkKind:
-    """Return the network of an installed package by its name, or that of a Python file.
-
-    Raises InputError if no package has it; for a file as `load_file`.
-    """
+    """Return the network of an installed package by its name, or that of a Python file."""
     if found := _of_packages().get(str(given)):
         return found
     if Path(given).suffix != ".py":
@@ -122,14 +118,9 @@ def choose_network(given: str | Path) -> NetworkKind:
 
 
 def load_saved(name: str, origin: str, where: object) -> NetworkKind:
-    """Return the network that a predictor's file names.
+    """Return the network that a predictor's file (`where`) names, by its name and origin.
 
-    Args:
-        name, origin: of the network, from the file.
-        where: the file, for error messages.
-
-    Raises:
-        InputError: no network of this name and origin was loaded, nor does a package have it.
+    Raises InputError if neither was it loaded nor has a package it.
     """
     found = _loaded.get(name) or _of_packages().get(name)
     if found is None or found.origin != origin:

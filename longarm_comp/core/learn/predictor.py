@@ -49,10 +49,7 @@ class LearnedGain:
 
     @classmethod
     def of(cls, residual: Array, left: Array) -> LearnedGain:
-        """Estimate the gain from the residual of the physics and what the network leaves of it.
-
-        Both are (N, 3), m.
-        """
+        """Estimate the gain from the physics' residual and what is left of it, (N, 3) m each."""
         before, after = (np.linalg.norm(e, axis=1) for e in (residual, left))
         gained = before - after
         chance = 1.6449 * gained.std(ddof=1) / math.sqrt(len(gained))
@@ -154,8 +151,7 @@ class Predictor:
     def _unknown_context(self, raw: Array, x: Array) -> Array:
         """Return the variance (N, 3), m^2, that unknown circumstances add.
 
-        It is the squared effect of one standard deviation of the training data, summed over the
-        unknown columns.
+        Each adds the squared effect of one standard deviation of the training data.
         """
         unknown = np.isnan(raw[:, self.encoding.kept])
         variance = np.zeros((len(x), len(self.offset)))
@@ -167,7 +163,6 @@ class Predictor:
         return variance
 
     def _reason(self, raw: Array, outside: NDArray[np.bool_], variance: float, sigma: Array) -> str:
-        """Return why one row is refused."""
         encoding = self.encoding
         parts = [
             f"{encoding.columns[c]} = {raw[c]:.4g} outside the training range "
@@ -201,11 +196,5 @@ class Predictor:
             reach = np.minimum(q - low, high - q)
             # of a column's training sd; epistemic variance grows by a quarter at the most
             reach[moved] = np.minimum(reach[moved], min(0.05, step) * width)
-        return Expansion(
-            found.error[0],
-            found.sigma[0],
-            bool(found.in_domain[0]),
-            found.reason[0],
-            jacobian,
-            reach,
-        )
+        inside = bool(found.in_domain[0])
+        return Expansion(found.error[0], found.sigma[0], inside, found.reason[0], jacobian, reach)

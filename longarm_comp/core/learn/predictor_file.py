@@ -31,15 +31,12 @@ _LARGEST = 1e6
 ENDINGS = _PAPERS, _OTHERS = ".npz", ".safetensors"
 """Endings of the files of the paper's networks, and of those from outside the package."""
 
-_ENCODING = {
-    "kept": "kept",
-    "mean": "mean",
-    "scale": "input_scale",
-    "lower": "lower",
-    "upper": "upper",
-}
+_PROVENANCE = ("arm_hash", "session_hash", "joint_names", "settings")
+_NUMBERS = ("hidden", "scale", "variance_limit")
+"""What the header takes over from the provenance and from the predictor."""
+_ENCODING = ("kept", "mean", "input_scale", "lower", "upper")
 _PREDICTOR = ("weights", "posterior", "offset", "noise", "widen", "alone")
-"""Arrays of a predictor in its file, beside ``gain`` and those of the encoding (`_ENCODING`)."""
+"""Arrays of the encoding (the last ones of `Encoding`) and of the predictor, beside ``gain``."""
 
 
 class _Network(Declared):
@@ -68,11 +65,7 @@ class _Header(Declared):
 
 
 def check_ending(path: str | os.PathLike[str], of_others: bool) -> None:
-    """Raise InputError if a file's ending does not fit the kind of its network.
-
-    Args:
-        of_others: whether the network is from outside the package.
-    """
+    """Raise InputError if a file's ending does not fit its network: the paper's, or `of_others`."""
     ending = Path(path).suffix
     if of_others != (ending == _OTHERS):
         allowed = f"{_OTHERS} for a network of others, {_PAPERS} for the paper's"
@@ -86,19 +79,14 @@ def save(predictor: Predictor, path: str | os.PathLike[str]) -> None:
     header: dict[str, Any] = {
         "format": "longarm/predictor",
         "version": 1,
-        "arm_hash": origin.arm_hash,
-        "session_hash": origin.session_hash,
-        "joint_names": origin.joint_names,
-        "settings": dict(origin.settings),
         "joints": encoding.joints,
         "context": encoding.context,
-        "hidden": predictor.hidden,
-        "scale": predictor.scale,
-        "variance_limit": predictor.variance_limit,
         "input_names": encoding.names,
+        **{name: getattr(origin, name) for name in _PROVENANCE},
+        **{name: getattr(predictor, name) for name in _NUMBERS},
     }
     arrays = {
-        **{name: getattr(encoding, own) for own, name in _ENCODING.items()},
+        **{name: getattr(encoding, name.removeprefix("input_")) for name in _ENCODING},
         **{name: getattr(predictor, name) for name in _PREDICTOR},
         "gain": np.array(dataclasses.astuple(predictor.gain)),
     }
@@ -153,7 +141,7 @@ def load(
 
         network = load_saved(header.network.name, header.network.origin, path)
         size = network.stack(d, 3).size
-    encoding = Encoding(header.joints, header.context, *(arrays[n] for n in _ENCODING.values()))
+    encoding = Encoding(header.joints, header.context, *(arrays[name] for name in _ENCODING))
     columns = len(encoding.columns)
     if not np.array_equal(encoding.kept, np.intersect1d(encoding.kept, range(columns))) or d == 0:
         allowed = f"rising numbers of columns below {columns}"
@@ -183,17 +171,11 @@ def load(
     learned = header.settings.get("model_hash")
     if None not in (learned, model_hash) and learned != model_hash:
         raise InputError(path, "model_hash", str(learned)[:12] or "the declared arm", model)
-    origin = Provenance(header.arm_hash, header.session_hash, header.joint_names, header.settings)
-    return Predictor(
-        encoding,
-        hidden=header.hidden,
-        scale=header.scale,
-        variance_limit=header.variance_limit,
-        gain=LearnedGain(*arrays["gain"].tolist()),
-        provenance=origin,
-        network=network,
-        **{name: arrays[name] for name in _PREDICTOR},
-    )
+    given: dict[str, Any] = {name: getattr(header, name) for name in _NUMBERS}
+    given |= {name: arrays[name] for name in _PREDICTOR}
+    gain = LearnedGain(*arrays["gain"].tolist())
+    origin = Provenance(*(getattr(header, name) for name in _PROVENANCE))
+    return Predictor(encoding, gain=gain, provenance=origin, network=network, **given)
 
 
 def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]]]:
@@ -223,7 +205,7 @@ def _read(path: str | os.PathLike[str]) -> tuple[_Header, dict[str, NDArray[Any]
     except Exception as error:  # whatever zipfile, zlib, numpy, safetensors and json raise
         found = f"corrupt or truncated ({error})"
         raise InputError(path, "predictor file", found, "a file that longarm wrote") from error
-    for name in (*_ENCODING.values(), *_PREDICTOR, "gain"):
+    for name in (*_ENCODING, *_PREDICTOR, "gain"):
         if not isinstance(arrays.get(name), np.ndarray):
             raise InputError(path, name, "missing", "a file that longarm wrote")
     return parse_declared(_Header, header, str(path)), arrays

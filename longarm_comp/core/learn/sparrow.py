@@ -30,7 +30,7 @@ so as a general-purpose optimiser it loses to differential evolution on shifted 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -53,50 +53,47 @@ def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
     return like.new_empty(size).normal_(generator=rng)
 
 
-class Rules:
-    """The four moves of the algorithm; each returns (M, m, D) positions.
+# The four moves of the algorithm; each returns (M, m, D) positions. ``position`` (M, m, D) are the
+# personal bests of those that move, ``rank`` (m,) their ``i``, ``leader`` (M, 1, D) is the best
+# discoverer; ``best`` and ``worst`` (M, 1, D+1) of all have their fitness as the last column.
 
-    ``position`` (M, m, D) are the personal bests of those that move, ``rank`` (m,) their ``i``,
-    ``leader`` (M, 1, D) is the best discoverer; ``best`` and ``worst`` (M, 1, D+1) of all sparrows
-    have their fitness as the last column.
-    """
 
-    def discover(
-        self, rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
-    ) -> Tensor:
-        """Move the discoverers: to the origin, or along the diagonal if `alarmed` (M, 1, 1)."""
-        alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
-        calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
-        return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
+def discover(
+    rng: torch.Generator, position: Tensor, rank: Tensor, horizon: int, alarmed: Tensor
+) -> Tensor:
+    """Move the discoverers: to the origin, or along the diagonal if `alarmed` (M, 1, 1)."""
+    alpha = 1.0 - uniform(rng, position, *position.shape[:2])  # (0, 1]
+    calm = position * torch.exp(-rank / (alpha * horizon))[..., None]
+    return torch.where(alarmed, position + normal(rng, position, *position.shape[:2], 1), calm)
 
-    def follow(self, rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
-        sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
-        # ``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension
-        return leader + ((position - leader) * sign).mean(dim=2, keepdim=True)
 
-    def starve(
-        self, rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor, horizon: int
-    ) -> Tensor:
-        quantity = normal(rng, position, *position.shape[:2], 1)
-        return quantity * torch.exp((worst[..., :-1] - position) / rank[:, None] ** 2)
+def follow(rng: torch.Generator, position: Tensor, leader: Tensor) -> Tensor:
+    sign = torch.where(uniform(rng, position, *position.shape) < 0.5, -1.0, 1.0)
+    # ``|X - Xp| A+ L``: the mean of randomly signed distances, the same in every dimension
+    return leader + ((position - leader) * sign).mean(dim=2, keepdim=True)
 
-    def watch(self, rng: torch.Generator, own: Tensor, best: Tensor, worst: Tensor) -> Tensor:
-        """Move the vigilantes ``own`` (M, m, D+1), whose fitness is the last column."""
-        position, fitness = own[..., :-1], own[..., -1:]
-        beta = normal(rng, position, *position.shape)
-        towards = best[..., :-1] + beta * (position - best[..., :-1]).abs()
-        k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
-        gap = fitness - worst[..., -1:]
-        step = k * (position - worst[..., :-1]).abs()
-        away = position + torch.where(gap < 0, step / gap, 0.0)
-        return torch.where(fitness > best[..., -1:], towards, away)
+
+def starve(rng: torch.Generator, position: Tensor, rank: Tensor, worst: Tensor) -> Tensor:
+    quantity = normal(rng, position, *position.shape[:2], 1)
+    return quantity * torch.exp((worst[..., :-1] - position) / rank[:, None] ** 2)
+
+
+def watch(rng: torch.Generator, own: Tensor, best: Tensor, worst: Tensor) -> Tensor:
+    """Move the vigilantes ``own`` (M, m, D+1), whose fitness is the last column."""
+    position, fitness = own[..., :-1], own[..., -1:]
+    beta = normal(rng, position, *position.shape)
+    towards = best[..., :-1] + beta * (position - best[..., :-1]).abs()
+    k = 2.0 * uniform(rng, position, *position.shape[:2], 1) - 1.0
+    gap = fitness - worst[..., -1:]
+    step = k * (position - worst[..., :-1]).abs()
+    away = position + torch.where(gap < 0, step / gap, 0.0)
+    return torch.where(fitness > best[..., -1:], towards, away)
 
 
 @dataclass(frozen=True)
 class SparrowSearch:
     population: int = 50
     iterations: int = 100
-    rules: Rules = field(default_factory=Rules)
 
     def __post_init__(self) -> None:
         for name, least in (("population", 4), ("iterations", 1)):
@@ -123,7 +120,7 @@ class SparrowSearch:
 
         Returns: the best positions found (M, D), and their fitness (M,).
         """
-        (many, size), n, horizon, rules = lower.shape, self.population, self.iterations, self.rules
+        (many, size), n, horizon = lower.shape, self.population, self.iterations
         lead = max(1, round(_PD * n))
         half = max(lead, n // 2)
         rank = torch.arange(1, n + 1, dtype=lower.dtype, device=lower.device)
@@ -149,16 +146,16 @@ class SparrowSearch:
         for _ in range(horizon):
             home = home[search, home[..., -1].argsort(dim=1, stable=True)]
             alarmed, place = uniform(rng, lower, many, 1, 1) >= _ST, home[..., :-1]
-            leaders = land(rules.discover(rng, place[:, :lead], rank[:lead], horizon, alarmed))
-            followers = rules.follow(rng, place[:, lead:half], best_of(leaders)[..., :-1])
-            starving = rules.starve(rng, place[:, half:], rank[half:], worst_of(now), horizon)
+            leaders = land(discover(rng, place[:, :lead], rank[:lead], horizon, alarmed))
+            followers = follow(rng, place[:, lead:half], best_of(leaders)[..., :-1])
+            starving = starve(rng, place[:, half:], rank[half:], worst_of(now))
             now = torch.cat((leaders, land(torch.cat((followers, starving), dim=1))), dim=1)
             home = better(home, now)
 
             best, worst = best_of(home), worst_of(now)
             order = uniform(rng, lower, many, n).argsort(dim=1)  # the first of them watch
             home, now = home[search, order], now[search, order]
-            moved = land(rules.watch(rng, home[:, : self._watchers], best, worst))
+            moved = land(watch(rng, home[:, : self._watchers], best, worst))
             now = torch.cat((moved, now[:, self._watchers :]), dim=1)
             home = better(home, now)
         found = best_of(home)[:, 0]

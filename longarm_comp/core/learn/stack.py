@@ -64,11 +64,7 @@ class Stack:
         return self._of_gram(weights, gram)
 
     def _basis(self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor) -> Tensor:
-        """Return the Jacobian (M, N k, D+1) with the residual as its last column.
-
-        Each row is multiplied by the root of its weight, so that the Gram matrix holds ``J'UJ`` and
-        ``J'U r``.
-        """
+        """Return the Jacobian (M, N k, D+1), the residual last, times the root of each weight."""
         basis = torch.cat((self.jacobian(weights, x), residual[..., None]), dim=3)
         return (basis * row[..., None, None].sqrt()).flatten(1, 2)
 
@@ -135,8 +131,7 @@ class TanhStack(Stack):
 
         It takes weights (M, P, D) and returns the mean squared error per output (M, P) over the
         rows ``used`` (M, N), in single precision. With ``tanh a = 2 s - 1`` and ``s = 1 / (1 +
-        exp(-2a))`` the 2 and the -1 go into the output layer. One matrix product serves all
-        sparrows of a network.
+        exp(-2a))`` the 2 and the -1 go into the output layer.
         """
         x1, y = 2.0 * _with_ones(x).mT.float(), y.mT[:, None].float()
         share = (used / (y.shape[2] * used.sum(dim=1, keepdim=True))).float()[:, None, None]

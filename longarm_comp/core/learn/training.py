@@ -66,6 +66,7 @@ def back_propagate(
     """Train from ``start`` (M, D) on rows as in `Networks`."""
     one = start.new_ones(len(start))
     left, groups = y - stack.outputs(start, x), int(stack.groups.max()) + 1
+    tails, outputs = one.new_tensor(_TAILS), y.shape[2]
     going = Networks(
         torch.arange(len(one), device=one.device),
         x,
@@ -85,8 +86,12 @@ def back_propagate(
     ended = list[list[Tensor]]()
     for step in range(1, max_steps + 1):
         moved = _try_step(stack, going)
-        if step > _PLAIN_STEPS:
-            _weigh_rows(going)
+        if step > _PLAIN_STEPS:  # the likeliest ``nu``, and the weights of the rows for it
+            square = going.square()
+            logs = _student_log(square, tails.expand(len(square), -1), going.used, outputs)
+            going.tail = tails[logs.argmax(1)]
+            nu = going.tail[:, None]
+            going.robust = (nu + outputs) / (nu + square) * going.used
         state = going.weights, going.x, going.residual, going.robust
         going.matrix, going.gradient = stack.normal_equations(*state)
         if step > _PLAIN_STEPS:
@@ -130,13 +135,6 @@ def _try_step(stack: Stack, at: Networks) -> Tensor:
 def _compute_cost(at: Networks, residual: Tensor, weights: Tensor, prior: Tensor) -> Tensor:
     square = (residual.square().sum(2) * at.robust).sum(1)
     return 0.5 * (at.beta * square + (prior * weights.square()).sum(1))
-
-
-def _weigh_rows(at: Networks) -> None:
-    """Set the likeliest ``nu`` of `_TAILS`, and the weights (M, N) of the rows for it."""
-    k, tails, square = at.y.shape[2], at.beta.new_tensor(_TAILS), at.square()
-    at.tail = tails[_student_log(square, tails.expand(len(square), -1), at.used, k).argmax(1)]
-    at.robust = (at.tail[:, None] + k) / (at.tail[:, None] + square) * at.used
 
 
 def _student_log(square: Tensor, nu: Tensor, used: Tensor, k: int) -> Tensor:

@@ -21,11 +21,8 @@ Attach = Callable[[float, int], bool]
 class Load:
     """Knows the mass at the tool, asks for another one, and publishes what was answered.
 
-    While another node publishes `payload`, its word counts and this class publishes nothing.
-
-    Args:
-        attach: called before every change of the mass, while the arm stands.
-        assumed: mass that counts while nobody says one; it is not published.
+    While another node publishes `payload`, its word counts and this class publishes nothing. The
+    mass that is `assumed` counts while nobody says one.
     """
 
     def __init__(self, client: GraphClient, attach: Attach, assumed: float | None = None) -> None:
@@ -63,9 +60,6 @@ class Load:
         """Ask for a mass for a number of visits; return "", or that it is missing.
 
         A mass that was not attached is not asked for again.
-
-        Raises:
-            JobError: another node contradicts the answer.
         """
         if kg not in self._missing and self._attach(kg, visits):
             self.confirm(kg)
@@ -74,11 +68,7 @@ class Load:
         return f"{kg:g} kg at the tool are missing"
 
     def confirm(self, kg: float) -> None:
-        """Take a mass as the one that the arm carries.
-
-        Raises:
-            JobError: another node publishes another mass.
-        """
+        """Take a mass as the one that the arm carries; JobError if another node says another."""
         self._answered = kg
         self.publish()
         self._client.spin(0.2)  # s: what came while somebody answered is heard
@@ -95,10 +85,7 @@ class Load:
 
 
 def find_carried(client: ArmClient, loads_kg: np.ndarray) -> np.ndarray:
-    """Tell for each of N masses whether the arm carries it now.
-
-    If no other node publishes `payload`, the arm carries what arm.yaml declares.
-    """
+    """Tell for each of N masses whether the arm carries it now, by `payload` or else arm.yaml."""
     declared = client.arm.payload
     assumed = 0.0 if declared is None else declared.mass_kg
     load = Load(client, lambda kg, visits: False, assumed)

@@ -53,7 +53,7 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
     """
     planned = {visit.index: visit.path for visit in todo}
     done: set[int] = set()
-    command = np.zeros((0, n))
+    command, begun = np.zeros((0, n)), "a bag that `longarm collect` began"
     with open_bag(path) as reader:
         kept = [c for c in reader.connections if last_part(c.topic) in _READ]
         for connection, _, raw in reader.messages(connections=kept) if kept else ():
@@ -65,60 +65,29 @@ def visits_in_bag(path: Path, todo: Sequence[Visit], n: int) -> set[int]:
                     continue
                 index = int(json.loads(message.data)["index"])
             except (KeyError, TypeError, ValueError) as error:
-                allowed = "a bag that `longarm collect` began"
-                raise InputError(path, connection.topic, str(error), allowed) from error
+                raise InputError(path, connection.topic, str(error), begun) from error
             way = planned.get(index)
             if way is None or command.shape != way.shape or np.abs(command - way).max() > SAME_POSE:
                 allowed = "the plan, seed and options with which it began"
                 raise InputError(path, f"visit {index}", command.tolist(), allowed)
             done.add(index)
         if reader.message_count and not done:
-            allowed = "a bag that `longarm collect` began"
-            raise InputError(path, ROW_TOPIC, "none", allowed)
+            raise InputError(path, ROW_TOPIC, "none", begun)
     return done
-
-
-_HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
-
-
-def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
-    """Return the diagnostic status ``collect`` (docs/ros.md), without values not known yet."""
-    losing = WARN if now.lost_visits else OK
-    values: dict[str, object] = {
-        "state": now.state,
-        "done": now.done,
-        "total": now.total,
-        "seen": now.seen_count,
-        "lost": len(now.lost_visits),
-        "pose": now.visit,
-    }
-    if math.isfinite(now.seconds_left):
-        values["eta_s"] = f"{now.seconds_left:.3f}"
-    level = {"ended": ERROR, "waiting": WARN}.get(now.state, losing)
-    return Report(level, str(now), values).status("collect", namespace)
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """The progress of a collection.
+    """The progress of a collection."""
 
-    Attributes:
-        done, total: number of visits that are in the bag, and in the plan.
-        visit: index of the present visit; -1 if there is none.
-        made: why the marker was lost at each visit of this run, or "" where it was seen; by index,
-            the latest last.
-        seconds_left: estimate of the time left, s; NaN while it is not known.
-        state: "running", "waiting", "done" or "ended".
-        why: the reason why the collection waits or has ended.
-    """
-
-    done: int
-    total: int
-    visit: int = -1
+    done: int  # number of visits that are in the bag
+    total: int  # number of visits of the plan
+    visit: int = -1  # index of the present one, if there is one
     made: Mapping[int, str] = field(default_factory=dict)
-    seconds_left: float = float("nan")
-    state: str = "running"
-    why: str = ""
+    """Why the marker was lost at each visit of this run, or ""; by index, the latest last."""
+    seconds_left: float = math.nan  # an estimate, if there is one
+    state: str = "running"  # or "waiting", "done", "ended"
+    why: str = ""  # the reason why the collection waits or has ended
 
     @property
     def share(self) -> float:
@@ -151,22 +120,33 @@ class Progress:
         return "; ".join(filter(None, (poses, self.losses)))
 
 
+def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
+    """Return the diagnostic status ``collect`` (docs/ros.md), without values not known yet."""
+    losing = WARN if now.lost_visits else OK
+    values: dict[str, object] = {
+        "state": now.state,
+        "done": now.done,
+        "total": now.total,
+        "seen": now.seen_count,
+        "lost": len(now.lost_visits),
+        "pose": now.visit,
+    }
+    if math.isfinite(now.seconds_left):
+        values["eta_s"] = f"{now.seconds_left:.3f}"
+    level = {"ended": ERROR, "waiting": WARN}.get(now.state, losing)
+    return Report(level, str(now), values).status("collect", namespace)
+
+
 @dataclass(frozen=True)
 class Collected:
-    """The result of `collect`.
+    """The result of `collect`."""
 
-    Attributes:
-        made, before, planned: numbers of visits made in this run, made before, and planned.
-        unseen: why the marker was lost, by index of the visit.
-        blocked: which box the way there enters, or which payload is missing, by index of each visit
-            that was not driven.
-    """
-
-    made: int
+    made: int  # number of visits made in this run, before it, and planned
     before: int
     planned: int
-    unseen: dict[int, str]
+    unseen: dict[int, str]  # why the marker was lost, by index of the visit
     blocked: dict[int, str]
+    """Which box the way there enters, or which payload is missing, by index of a visit not made."""
 
 
 def collect(
@@ -214,31 +194,28 @@ def collect(
     return Collected(len(run.made), len(done), len(todo), run.now().lost_visits, run.blocked)
 
 
+@dataclass(eq=False)
 class _Run:
-    """The visits of one call of `collect`."""
+    """The visits of one call of `collect`; `made` and `blocked` as in `Progress`, `Collected`."""
 
-    def __init__(
-        self,
-        client: ArmClient,
-        recorder: Recorder,
-        attach: Attach,
-        pace: Pace,
-        progress: Callable[[Progress], None],
-        view: View | None,
-        before: int,
-        total: int,
-    ) -> None:
-        self._client, self._recorder, self._pace = client, recorder, pace
-        self._show, self._before, self._total = progress, before, total
-        self._view, self._reports = view, Reports(client)
-        self._attach, self._load = attach, Load(client, self._ask_for_load)
+    _client: ArmClient
+    _recorder: Recorder
+    _attach: Attach
+    _pace: Pace
+    _show: Callable[[Progress], None]
+    _view: View | None
+    _before: int
+    _total: int
+    _visit: Visit | None = None
+    _driving_s: float = 0.0
+    made: dict[int, str] = field(default_factory=dict)
+    blocked: dict[int, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        client = self._client
+        self._reports, self._load = Reports(client), Load(client, self._ask_for_load)
         self._publisher = graph.COLLECT_PROGRESS.publisher(client.node)
         self._model = declared_model(client.arm)
-        self._driving_s = 0.0
-        self._visit: Visit | None = None
-        self.made: dict[int, str] = {}
-        """Why the marker was lost at each visit of this run in the bag, or ""; by index."""
-        self.blocked: dict[int, str] = {}
 
     def drive(self, left: list[Visit], give_up: int, payload_kg: float | None) -> None:
         self._client.ready()
@@ -257,7 +234,8 @@ class _Run:
             self._make_visit(visit)
             now = self.now()
             if now.lost_visits == self.made and not self._before and 0 < give_up <= len(self.made):
-                raise JobError(f"{now.losses}. {_HINT}")
+                hint = "longarm plan --seen leaves such poses out; --give-up 0 never ends early"
+                raise JobError(f"{now.losses}. {hint}")
             if len(now.lost_visits) > half:
                 raise JobError(f"the marker is not seen at most poses. {now.losses}")
         self._visit = None
@@ -289,16 +267,18 @@ class _Run:
                 takes = partial(self._client.driver_takes, held=True)
                 self._client.until(takes, math.inf, "driver")
                 begun_s = time.monotonic()
-        why = row.lost.get(visit.index, "")
-        self.made[visit.index] = "" if row.has_position[0] else self._describe_cause(visit.q, why)
+        why = ""
+        if not row.has_position[0]:
+            why = self._describe_cause(visit.q, row.lost.get(visit.index, ""))
+        self.made[visit.index] = why
         self._driving_s += time.monotonic() - begun_s
         self._tell_progress()
 
     def _describe_cause(self, q: np.ndarray, recorded: str) -> str:
         """Say why the marker is probably lost at joints q (n,).
 
-        The reason is that of the recording if the arm did not rest, else one by the geometry of
-        the cameras, else the last message of `stereo_bridge`.
+        It is what was recorded if the arm did not rest, else by the cameras' geometry, else by the
+        last message of `stereo_bridge`.
         """
         if recorded == NO_REST:
             return recorded
@@ -313,8 +293,7 @@ class _Run:
     def _visit_row(self, visit: Visit) -> Session:
         """Drive to one pose, measure it, keep it, and return the row as the bag holds it.
 
-        The row is made from the recorded messages. So this waits until the recorder has received as
-        much as the client.
+        It waits until the recorder has received as much as the client.
         """
         client, pace, recorder = self._client, self._pace, self._recorder
         client.driver_takes()
@@ -346,9 +325,9 @@ class _Run:
         return row
 
     def _choose_next(self, left: list[Visit]) -> Visit | None:
-        """Return a visit to which the way is free; None if there is none (`blocked`).
+        """Return the first visit to which the way is free; None if there is none (`blocked`).
 
-        It is the first one with the payload at the tool; without one, another payload is attached.
+        Those with the payload at the tool come first; then another payload is asked for.
         """
         here, why = self._client.joints, {}
         loads = Counter(visit.payload_kg for visit in left)
@@ -366,18 +345,10 @@ class _Run:
         return None
 
     def now(self, state: str = "running", why: str = "") -> Progress:
-        visit, made = self._visit, len(self.made)
-        each = self._driving_s / made if made else float("nan")
-        done = self._before + made
-        return Progress(
-            done,
-            self._total,
-            -1 if visit is None else visit.index,
-            dict(self.made),
-            each * (self._total - done),
-            state,
-            why,
-        )
+        made = len(self.made)
+        done, each = self._before + made, self._driving_s / made if made else math.nan
+        at, left_s = -1 if self._visit is None else self._visit.index, each * (self._total - done)
+        return Progress(done, self._total, at, dict(self.made), left_s, state, why)
 
     def _tell_progress(self, state: str = "running", why: str = "") -> None:
         now = self.now(state, why)

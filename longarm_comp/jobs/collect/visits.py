@@ -22,18 +22,12 @@ from longarm_comp.devices.servo_config import ServoConfig
 
 @dataclass(frozen=True, eq=False)
 class Visit:
-    """One measurement to make.
-
-    Attributes:
-        path: (2, n) start of the run-up and pose, or (1, n) pose alone; rad and m.
-        repeat_id: number of the pose if it is visited more than once, else -1.
-        payload_kg: mass to carry; None: as it is.
-    """
+    """One measurement to make."""
 
     index: int
-    path: np.ndarray
-    repeat_id: int = -1
-    payload_kg: float | None = None
+    path: np.ndarray  # (2, n) start of the run-up and pose, or (1, n) pose alone; rad and m
+    repeat_id: int = -1  # number of the pose if it is visited more than once
+    payload_kg: float | None = None  # mass to carry; None: as it is
 
     @property
     def q(self) -> np.ndarray:
@@ -82,17 +76,11 @@ def list_visits(
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """The result of one check on every visit of a plan.
+    """The result of one check on every visit of a plan."""
 
-    Attributes:
-        question: the condition that is checked.
-        faults: for each visit why it fails, or "".
-        blocks: whether a visit that fails is not driven.
-    """
-
-    question: str
-    faults: tuple[str, ...]
-    blocks: bool
+    question: str  # the condition that is checked
+    faults: tuple[str, ...]  # for each visit why it fails, or ""
+    blocks: bool  # a visit that fails is not driven
 
     @property
     def passed_count(self) -> int:
@@ -112,16 +100,25 @@ def plan_checks(
     servos: ServoConfig | None = None,
 ) -> list[PlanCheck]:
     """Check the visits of a plan; checks that need missing data or cameras are left out."""
+
+    def why_outside(path: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> str:
+        off = (path < lower - SAME_POSE) | (path > upper + SAME_POSE)
+        if not off.any():
+            return ""
+        row, j = np.argwhere(off)[0]
+        allowed = f"allowed {lower[j]:.4g} to {upper[j]:.4g}"
+        return f"{arm.joint_names[j]} outside: {path[row, j]:.4g}, {allowed}"
+
     model = declared_model(arm)
     q = np.array([visit.q for visit in visits])
-    outside = tuple(_why_outside(arm.joint_names, v.path, *arm.bounds) for v in visits)
+    outside = tuple(why_outside(visit.path, *arm.bounds) for visit in visits)
     checks = [PlanCheck("inside the limits of arm.yaml", outside, True)]
     if servos is not None:
         joints = [servos.joints[name] for name in arm.joint_names]
-        tick = np.array([joint.si_per_tick for joint in joints])
-        lower = np.array([joint.lower for joint in joints]) - tick
-        upper = np.array([joint.upper for joint in joints]) + tick
-        faults = tuple(_why_outside(arm.joint_names, row[None], lower, upper) for row in q)
+        slack = np.array([0.5 * joint.si_per_tick for joint in joints])  # as the driver allows
+        lower = np.array([joint.lower for joint in joints]) - slack
+        upper = np.array([joint.upper for joint in joints]) + slack
+        faults = tuple(why_outside(visit.path, lower, upper) for visit in visits)
         checks.append(PlanCheck("inside the servos' limits", faults, True))
     if arm.keep_out:
         # A fault of the floor and one of other boxes, at the pose and where its run-up begins
@@ -169,25 +166,11 @@ def refuse_blocked(checks: Sequence[PlanCheck], visits: Sequence[Visit], where: 
     found = blocked_visits(checks, visits)
     for index, why in found.items():
         others = f" (and {len(found) - 1} more poses)" if len(found) > 1 else ""
-        raise InputError(
-            where,
-            f"pose of visit {index}",
-            why + others,
-            "poses that `longarm plan` makes for this arm and floor",
-        )
+        allowed = "poses that `longarm plan` makes for this arm and floor"
+        raise InputError(where, f"pose of visit {index}", why + others, allowed)
 
 
 def in_words(faults: Iterable[str]) -> str:
     """Say in words how many faults of each kind there are, the most frequent first."""
     kinds = Counter(fault.partition(": ")[0] for fault in faults)  # without their figures
     return ", ".join(f"{count} {kind}" for kind, count in kinds.most_common())
-
-
-def _why_outside(
-    names: Sequence[str], path: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> str:
-    off = (path < lower - SAME_POSE) | (path > upper + SAME_POSE)
-    if not off.any():
-        return ""
-    row, j = np.argwhere(off)[0]
-    return f"{names[j]} outside: {path[row, j]:.4g}, allowed {lower[j]:.4g} to {upper[j]:.4g}"

@@ -6,9 +6,16 @@ import pytest
 import torch
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.learn.sparrow import Rules, SparrowSearch, normal, uniform
+from longarm_comp.core.learn.sparrow import (
+    SparrowSearch,
+    discover,
+    follow,
+    normal,
+    starve,
+    uniform,
+    watch,
+)
 
-RULES = Rules()
 DOUBLE = {"dtype": torch.float64}
 
 
@@ -40,10 +47,10 @@ def range_of(x):
 def test_calm_discoverers_contract_and_alarmed_ones_step_along_the_diagonal():
     position, rank = normal(rng(0), LIKE, 1, 4, 6), torch.arange(1.0, 5.0, **DOUBLE)
     calm, alarm = torch.tensor([[[False]]]), torch.tensor([[[True]]])
-    ratio = RULES.discover(rng(1), position, rank, 100, calm) / position
+    ratio = discover(rng(1), position, rank, 100, calm) / position
     assert ((ratio > 0) & (ratio < 1)).all()
     torch.testing.assert_close(ratio, ratio[..., :1].expand_as(ratio))
-    step = RULES.discover(rng(1), position, rank, 100, alarm) - position
+    step = discover(rng(1), position, rank, 100, alarm) - position
     torch.testing.assert_close(step, step[..., :1].expand_as(step))
 
 
@@ -54,7 +61,7 @@ def test_pseudo_inverse_of_the_sign_row_is_its_transpose_over_d():
 
 def test_followers_gather_at_the_leader():
     position, leader = torch.full((1, 200, 6), 5.0, **DOUBLE), torch.full((1, 1, 6), 4.0, **DOUBLE)
-    canonical = RULES.follow(rng(2), position, leader)
+    canonical = follow(rng(2), position, leader)
     assert ((canonical - leader).abs() <= 1.0 + 1e-12).all()
     assert canonical.mean() == pytest.approx(4.0, abs=0.1)
     assert ((canonical - leader).abs().amax() > 0.5) and not range_of(canonical).any()
@@ -62,7 +69,7 @@ def test_followers_gather_at_the_leader():
 
 def test_starving_sparrows_fly_from_the_worst_per_dimension():
     position = 2.0 * uniform(rng(4), LIKE, 1, 2, 6) - 1.0
-    early = RULES.starve(rng(5), position, torch.ones(2, **DOUBLE), WORST, 100)
+    early = starve(rng(5), position, torch.ones(2, **DOUBLE), WORST)
     assert (range_of(early) / early.abs().mean(-1) > 0.5).all()
     quantity = normal(rng(5), LIKE, 1, 2, 1)
     torch.testing.assert_close(early, quantity * torch.exp(WORST[..., :-1] - position))
@@ -71,14 +78,14 @@ def test_starving_sparrows_fly_from_the_worst_per_dimension():
 def test_vigilantes_fly_to_the_best_per_dimension_and_equal_worst_stays():
     position = normal(rng(6), LIKE, 1, 3, 6)
     own = torch.cat((position, torch.tensor([[[4.0], [4.0], [1.0]]], **DOUBLE)), dim=2)
-    moved = RULES.watch(rng(7), own, BEST, WORST)
+    moved = watch(rng(7), own, BEST, WORST)
     beta = ((moved - 0.5) / (position - 0.5).abs())[:, :2]
     assert (range_of(beta) > 0.1).all()
     away = (moved - position)[0, 2] / (position - WORST[..., :-1]).abs()[0, 2]
     torch.testing.assert_close(away, away[:1].expand(6))  # K / (f - f_worst)
     assert 0 < away[0].abs() < 1 / 8
     equal = torch.cat((WORST[..., :-1], BEST[..., -1:]), dim=2)
-    torch.testing.assert_close(RULES.watch(rng(7), own[:, 2:], BEST, equal), position[:, 2:])
+    torch.testing.assert_close(watch(rng(7), own[:, 2:], BEST, equal), position[:, 2:])
 
 
 def test_search_is_deterministic_bounded_monotone_and_counts_its_evaluations():
