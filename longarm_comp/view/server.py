@@ -29,8 +29,6 @@ Serve = Callable[[ServerConnection, Request], "Response | None"]
 LOOPBACK = "127.0.0.1"
 _NAMES = (LOOPBACK, "localhost")
 _START = "/start"
-
-
 PATH = "/plain"
 START = f"""<!doctype html><title>longarm view</title>
 <noscript><a href="{PATH}">state and buttons as plain text</a></noscript>
@@ -43,10 +41,9 @@ a{display:inline-block;padding:.8em 1.2em;margin:.3em .3em .3em 0;color:#fff;bor
 
 
 class PlainPage:
-    """The page at `PATH`. The addresses of its buttons hold a random key that no other page knows.
+    """The page at `PATH`, which shows ``lines`` and loads itself anew once a second.
 
-    Attributes:
-        lines: the lines of the state; the page loads itself anew once a second.
+    The addresses of its buttons hold a random key that no other page knows.
     """
 
     def __init__(self, buttons: Sequence[Button], press: Callable[[Button], None]) -> None:
@@ -79,10 +76,7 @@ class PlainPage:
 
 @dataclass(frozen=True)
 class Gate:
-    """The gate of the server, which refuses everyone without the token.
-
-    The token is the cookie's value. Every start of the server makes a new one.
-    """
+    """The gate of the server: it refuses everyone whose cookie is not the token of this start."""
 
     token: str = field(default_factory=secrets.token_urlsafe, repr=False)
     plain: Callable[[str], str | None] = lambda path: None  # `PlainPage.answer`

@@ -69,36 +69,22 @@ class CollectProgress:
 
 @dataclass(frozen=True, eq=False)
 class PageState:
-    """Everything that the page shows.
+    """Everything that the page shows. Times are monotonic, s."""
 
-    Attributes:
-        heard: when any message came last; None before the first.
-        tip: (3,) m, as the cameras saw it last; NaN if the marker was lost.
-        tip_at: when `tip` came.
-        joints: last reading by name, rad and m.
-        read: when the joints were read last; None before the first.
-        moved: when a joint moved last by more than `JOINT_REST`.
-        driver: state of the driver in a word, and its reason; empty before the first.
-        evidence: evidence of drift; at 1 or more a warning is given; NaN if nothing judges it.
-        told: further messages, by their heading: what was learned at work, the ring after the last
-            move.
-        seed: the joints at `moved`, with which later readings are compared.
-    """
-
-    heard: float | None = None
+    heard: float | None = None  # when any message came last
     picture: Picture | None = None
-    tip: np.ndarray | None = None
-    tip_at: float = -math.inf
-    joints: Mapping[str, float] = field(default_factory=dict)
-    read: float | None = None
-    moved: float = -math.inf
-    driver: tuple[str, str] = ("", "")
+    tip: np.ndarray | None = None  # (3,) m, as the cameras saw it last; NaN: marker lost
+    tip_at: float = -math.inf  # when `tip` came
+    joints: Mapping[str, float] = field(default_factory=dict)  # last reading by name, rad and m
+    read: float | None = None  # when the joints were read last
+    moved: float = -math.inf  # when a joint moved last by more than `JOINT_REST`
+    driver: tuple[str, str] = ("", "")  # its state in a word, and the reason
     answer: LastAnswer | None = None
     nodes: Mapping[str, NodeHealth] = field(default_factory=dict)
     progress: CollectProgress | None = None
-    evidence: float = math.nan
-    told: Mapping[str, str] = field(default_factory=dict)
-    seed: Mapping[str, float] = field(default_factory=dict)
+    evidence: float = math.nan  # of drift; at 1 or more a warning is given; NaN: not judged
+    told: Mapping[str, str] = field(default_factory=dict)  # further messages, by their heading
+    seed: Mapping[str, float] = field(default_factory=dict)  # the joints at `moved`
 
     def with_joints(self, joints: Mapping[str, float], now: float) -> PageState:
         if _same_joints(joints, self.seed):
@@ -113,10 +99,7 @@ class PageState:
         )
 
     def silent_s(self, now: float) -> float:
-        """Return for how long (s) the graph has been silent.
-
-        It is 0 while messages come, and infinite if none ever came.
-        """
+        """Return for how long (s) the graph has been silent; infinite if it always was."""
         return _find_silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
@@ -202,11 +185,7 @@ def say_headline(state: PageState, now: float, namespace: str) -> str:
 
 
 def list_lines(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
-    """Return all lines of the page, by place on the page.
-
-    Args:
-        said: the result of the last press of a button.
-    """
+    """Return all lines of the page, by place; ``said``: the result of the last press."""
     lines = {
         "state": [say_headline(state, now, namespace), describe_target(state)],
         "said": [said],
@@ -273,10 +252,7 @@ def describe_progress(state: PageState, now: float) -> str:
 
 
 def describe_health(node: NodeHealth, now: float) -> list[str]:
-    """Return a line on a node, and one on each of its parts that is not well.
-
-    Each line begins with the sign of its level.
-    """
+    """Return a line on a node and one on each ill part, each with the sign of its level."""
     if silent := node.silent_s(now):
         return [f"{SILENT} {node.name}: silent for {_format_ago(silent)}"]
     sign, word = LEVELS[max(part.level for part in node.parts)]
