@@ -66,7 +66,6 @@ SECTIONS: dict[str, type[BaseModel]] = {
 }
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
 
-
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
 
 
@@ -96,7 +95,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         p, given = self.p, declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._config.check_rate(p["rate_hz"], "parameters of servo_driver")
-        self.names, self._rules = list(self._config.joints), self._make_rules()
+        self.names = list(self._config.joints)
+        self._rules = self._make_rules()
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self.arm: ServoArm | None = None
         self.active = self._ended = False
@@ -275,7 +275,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             assert event.finding is not None
             self._trouble = event.message
             self._stops.keep_fault(event.finding)
-        if event.kind is EventKind.ARRIVED:
+        elif event.kind is EventKind.ARRIVED:
             self._tell_motion(Motion.REACHED, self._motion)
         if event.kind in (EventKind.FAULT, EventKind.ESTOP):
             self.get_logger().error(why)
