@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -64,6 +65,7 @@ class TargetRequest:
     # where the search begins; without names: at the present joints
     seed: JointState = field(default_factory=JointState)
     method: str = ""  # what is compensated; empty: as the node's parameter says
+    wanted: Callable[[], bool] = lambda: True  # False once its client has cancelled it
 
 
 @dataclass(frozen=True)

@@ -58,7 +58,10 @@ class ReachServer:
 
     async def _serve_goal(self, goal: Any) -> Reach.Result:
         turn = object()
-        target = self._targets.new_target(goal.request.target, goal.request.position_only)
+        asked = goal.request
+        target = self._targets.new_target(
+            asked.target, asked.position_only, wanted=lambda: not goal.is_cancel_requested
+        )
         fresh = not self._targets.stale(target)
         self._turns.append(turn)
         try:
@@ -87,7 +90,7 @@ class ReachServer:
         result = _make_unseen(answer.message, int(answer.status))
         result.id = answer.name
         if not answer.status.success or answer.outcome is None:
-            goal.abort()
+            (goal.canceled if goal.is_cancel_requested else goal.abort)()
             return result
         command = answer.outcome.command
         result.command = joints_message(self._arm, command, answer.stamp)

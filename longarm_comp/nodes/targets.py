@@ -160,6 +160,9 @@ class TargetInlet:
                 stamp = self._stamps.next()  # before the age check: from here the driver counts
                 if why := self.stale(target):
                     answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
+                elif not target.wanted():
+                    why = "cancelled before anything was sent"
+                    answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 elif why := self._state.doubt:  # it arose while the joints were computed
                     answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 else:
