@@ -197,11 +197,7 @@ class _TrajectoryCompensator(ArmNode):
             return graph.FOLLOW.type.Result(error_string="the arm stands there: nothing was sent")
         out = copy(goal.request)  # its other fields are left to the controller
         out.trajectory = trajectory_message(
-            self._arm,
-            path,
-            made.timed.times[1:],
-            self._stamps.next(),
-            made.timed.velocities[1:],
+            self._arm, path, made.timed.times[1:], self._stamps.next(), made.timed.velocities[1:]
         )
         sent = await self._out.send_goal_async(
             out, lambda said: goal.publish_feedback(said.feedback)

@@ -102,8 +102,12 @@ class Gate:
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
                 cookie = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
                 return _make_redirect(_START, {"Set-Cookie": cookie})
-            given, own = _read_cookies(request.headers, name), self.token.encode()
-            if len(given) != 1 or not secrets.compare_digest(given[0].encode(), own):
+            cookies = ";".join(request.headers.get_all("Cookie")).split(
+                ";"
+            )  # also of other servers
+            pairs = [cookie.strip().partition("=") for cookie in cookies]
+            given = [value.encode() for key, _, value in pairs if key == name]
+            if len(given) != 1 or not secrets.compare_digest(given[0], self.token.encode()):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
@@ -147,12 +151,6 @@ def _make_redirect(to: str, headers: dict[str, str]) -> Response:
     private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
     made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
     return Response(HTTPStatus.SEE_OTHER, "See Other", made)
-
-
-def _read_cookies(headers: Headers, name: str) -> list[str]:
-    """Return all values of a cookie. Other servers of this machine may have set cookies too."""
-    given = [part.strip() for line in headers.get_all("Cookie") for part in line.split(";")]
-    return [value for key, _, value in (part.partition("=") for part in given) if key == name]
 
 
 def _policy_headers(hosts: list[str]) -> dict[str, str]:

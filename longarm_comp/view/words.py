@@ -186,28 +186,32 @@ def say_headline(state: PageState, now: float, namespace: str) -> str:
 
 def list_lines(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
     """Return all lines of the page, by place; ``said``: the result of the last press."""
+    target, drift, job = "No target since this page was opened.", "Drift: nothing judged yet.", ""
+    if (answer := state.answer) is not None:
+        why = f": {answer.message}" if answer.message else ""
+        sent = "" if answer.sent else ", nothing sent"
+        target = f"Last target: {answer.status}{sent}{why}."
+    if not math.isnan(state.evidence):
+        warns = "warns" if state.evidence >= 1.0 else "does not warn"
+        drift = f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
+    if (progress := state.progress) is not None:
+        age_s = now - progress.at
+        heard = f"; heard {_format_ago(age_s)} ago" if age_s > 5.0 else ""
+        job = f"collect: {progress.message}{heard}"
     lines = {
-        "state": [say_headline(state, now, namespace), describe_target(state)],
+        "state": [say_headline(state, now, namespace), target],
         "said": [said],
-        "job": [describe_progress(state, now)],
+        "job": [job],
         "tip": [
             f"tip − target: {format_mm(state.miss_at_target(now))}",
             f"tip − predicted: {format_mm(state.miss_of_prediction(now))}",
-            describe_drift(state),
+            drift,
             *(f"{what}: {told}." for what, told in state.told.items()),
         ],
         "health": [line for _, n in sorted(state.nodes.items()) for line in describe_health(n, now)]
         or ["no node has reported yet"],
     }
     return {place: [line for line in found if line] for place, found in lines.items()}
-
-
-def describe_target(state: PageState) -> str:
-    if state.answer is None:
-        return "No target since this page was opened."
-    why = f": {state.answer.message}" if state.answer.message else ""
-    sent = "" if state.answer.sent else ", nothing sent"
-    return f"Last target: {state.answer.status}{sent}{why}."
 
 
 def format_mm(vector: np.ndarray | str) -> str:
@@ -232,23 +236,6 @@ def describe_scale(deflection: float, error: float) -> str:
     arrows = "to scale" if error == 1.0 else f"{error:g} times longer than they are"
     drawn = f"The blue arm's deflection is drawn {bent}, error arrows {arrows}."
     return f"{drawn} Everything else is to scale."
-
-
-def describe_drift(state: PageState) -> str:
-    """Say how near the test of drift is to a warning."""
-    if math.isnan(state.evidence):
-        return "Drift: nothing judged yet."
-    warns = "warns" if state.evidence >= 1.0 else "does not warn"
-    return f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
-
-
-def describe_progress(state: PageState, now: float) -> str:
-    """Say how far a collection is; empty if no collection reported."""
-    job = state.progress
-    if job is None:
-        return ""
-    heard = f"; heard {_format_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
-    return f"collect: {job.message}{heard}"
 
 
 def describe_health(node: NodeHealth, now: float) -> list[str]:
