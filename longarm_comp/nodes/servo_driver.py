@@ -192,9 +192,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch torque on unless a stop is in force; the arm holds its present position."""
+        assert self.arm is not None
         try:
             if not self._stops.standing:
-                self._known_arm.power(True)
+                self.arm.power(True)
         except LongarmError as error:
             return self._note_failure(error)
         self.fault, self.active, self._autostart = "", True, False
@@ -204,8 +205,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = self._autostart = False
         self._tell_motion(Motion.BROKEN_OFF, self._motion, "torque off")
+        assert self.arm is not None
         try:
-            self._known_arm.power(False)
+            self.arm.power(False)
         except LongarmError as error:
             self._note_failure(error)  # torque off is sent as soon as the bus is back
         return super().on_deactivate(state)
@@ -224,11 +226,6 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._release_arm()
         return super().on_shutdown(state)
 
-    @property
-    def _known_arm(self) -> ServoArm:
-        assert self.arm is not None
-        return self.arm
-
     def _note_failure(self, error: LongarmError) -> TransitionCallbackReturn:
         starting = self._autostart and time.monotonic() < self._patient_until
         if starting and isinstance(error, (BusUnplugged, IncompleteReply)):
@@ -242,6 +239,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         return TransitionCallbackReturn.FAILURE
 
     def _release_arm(self) -> None:
+        if self.following:
+            self._tell_motion(Motion.BROKEN_OFF, self._motion, "torque off")
         self.active = False
         arm, self.arm, self._last = self.arm, None, None
         if arm is not None:
@@ -306,7 +305,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
         if why := why or self._intake.doubt(message):
             self.refuse(name, why)
             return
-        arm = self._known_arm
+        arm = self.arm
+        assert arm is not None
         if not arm.follower.is_fresh(time.monotonic()):  # just begun, or a reply was lost
             self._drive_arm(arm)
         try:
