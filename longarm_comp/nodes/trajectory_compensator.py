@@ -89,6 +89,8 @@ PARAMS = (
 
 _TRIES = 3
 """How often a path is computed before its goal is refused, because the arm moved meanwhile."""
+_GONE_TICKS = 20
+"""Ticks (0.05 s each) without the controller after which it is gone."""
 
 
 class _TrajectoryCompensator(ArmNode):
@@ -208,11 +210,18 @@ class _TrajectoryCompensator(ArmNode):
             return abort_goal(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
             self._driver.note_motion(path, made.timed.joints[0])
-        ended, asked = sent.get_result_async(), False
+        ended, asked, missed = sent.get_result_async(), False, 0
         while not ended.done():
-            if goal.is_cancel_requested and not asked:
+            missed = 0 if self._out.server_is_ready() else missed + 1
+            gone = missed > _GONE_TICKS
+            if (goal.is_cancel_requested or gone) and not asked:
                 asked = True
                 sent.cancel_goal_async()
+            if gone:
+                why = f"{self._controller} is gone, and did not say what became of the path"
+                self._driver.forget_history()
+                self.tally.count("not followed", why)
+                return abort_goal(goal, graph.FOLLOW.type.Result.PATH_TOLERANCE_VIOLATED, why)
             await self._ticks.next()
         answer = ended.result()
         if answer.status == GoalStatus.STATUS_SUCCEEDED:
