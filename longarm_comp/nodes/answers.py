@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -33,9 +34,7 @@ class Refusal(LongarmError):  # noqa: N818
 
 
 def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
-    """Return the target as a pose (4, 4), or as a position (3,) if the orientation is free.
-
-    Lengths are in m; the target stays in the frame of the message's header.
+    """Return the target as a pose (4, 4), m, or as a position (3,) if the orientation is free.
 
     Raises:
         Refusal: the position is not finite or too far away, or the quaternion has no unit length.
@@ -56,48 +55,32 @@ def target_of(message: PoseStamped, position_only: bool) -> np.ndarray:
 
 @dataclass(frozen=True)
 class TargetRequest:
-    """One target that waits for its answer.
+    """One target that waits for its answer."""
 
-    Attributes:
-        name: the target's id.
-        pose: the target, in any known frame.
-        position_only: whether the target's orientation is ignored.
-        execute: whether the computed joints are sent to the driver.
-        sent_s: when the target was sent (monotonic s).
-        seed: joints at which the search begins; a message without names means the present joints.
-        method: what is compensated; empty: the node's parameter.
-    """
-
-    name: str
-    pose: PoseStamped
-    position_only: bool
-    execute: bool
-    sent_s: float
+    name: str  # its id
+    pose: PoseStamped  # in any known frame
+    position_only: bool  # its orientation is ignored
+    sent_s: float  # when it was sent, monotonic s
+    execute: bool = True  # the computed joints are sent to the driver
+    # where the search begins; without names: at the present joints
     seed: JointState = field(default_factory=JointState)
-    method: str = ""
+    method: str = ""  # what is compensated; empty: as the node's parameter says
+    wanted: Callable[[], bool] = lambda: True  # False once its client has cancelled it
 
 
 @dataclass(frozen=True)
 class Answer:
-    """Everything that is published about one target on `compensation`.
+    """Everything that is published about one target on `compensation`."""
 
-    Attributes:
-        target: the target. If its joints were computed, it is expressed in the base frame.
-        model_hash, predictor_hash: SHA-256 of the files in use; empty without a file.
-        arrival: the result of the computation; None if the target was refused before.
-        order: id of the trajectory sent for the target; empty if none was sent.
-        accepted: whether the driver accepted this trajectory.
-    """
-
-    target: TargetRequest
+    target: TargetRequest  # expressed in the base frame if its joints were computed
     status: Status
     message: str
     method: str
-    model_hash: str
+    model_hash: str  # SHA-256 of model.yaml; empty without a file
     predictor_hash: str = ""
-    arrival: Arrival | None = None
-    order: str = ""
-    accepted: bool = False
+    arrival: Arrival | None = None  # the result; None if the target was refused before
+    order: str = ""  # id of the trajectory sent for the target; empty if none was sent
+    accepted: bool = False  # by the driver: this trajectory
 
     @property
     def name(self) -> str:
@@ -106,8 +89,7 @@ class Answer:
 
     @property
     def stamp(self) -> Time:
-        stamp: Time = self.target.pose.header.stamp
-        return stamp
+        return self.target.pose.header.stamp
 
     @property
     def outcome(self) -> Outcome | None:

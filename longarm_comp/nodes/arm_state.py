@@ -15,6 +15,7 @@ from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import JointTrust, Readings, StaleContext
+from longarm_comp.core.data.rest import JOINT_REST, REST_S
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
@@ -64,10 +65,6 @@ class ArmState:
 
     Each value is replaced as a whole, never changed in place, so other threads may read it.
 
-    Args:
-        capacity: number of jobs that may wait for the worker.
-        trimmed: whether the driver trims the joints (parameter `trimmed`).
-
     Attributes:
         base_frame: full name of the arm's base frame.
         readings: last readings of the circumstances.
@@ -97,12 +94,11 @@ class ArmState:
         self._joints: tuple[np.ndarray, float] | None = None
         self.effort = np.full(self.arm.n, np.nan)
         graph.JOINT_STATES.subscription(node, self._on_joints)
+        take = self.take_in
         graph.TEMPERATURE.subscription(
-            node, lambda said: self.take_in("temperature", {"temperature_c": said.temperature})
+            node, lambda said: take("temperature", {"temperature_c": said.temperature})
         )
-        graph.PAYLOAD.subscription(
-            node, lambda said: self.take_in("payload", {"payload_kg": said.data})
-        )
+        graph.PAYLOAD.subscription(node, lambda said: take("payload", {"payload_kg": said.data}))
         graph.INCLINATION.subscription(node, self._on_inclination)
 
     @property
@@ -115,11 +111,10 @@ class ArmState:
         return stamp
 
     def context(self, history: History | None = None, model: Model | None = None) -> Context:
-        """Return the present circumstances that a model needs.
+        """Return the present circumstances that a model needs, by default the one in use.
 
         Args:
             history: history of the joints; by default the history after the last command.
-            model: the model; by default the one in use.
 
         Raises:
             StaleContext: a circumstance that the model needs is unknown or too old.
@@ -140,10 +135,7 @@ class ArmState:
 
     @property
     def standing(self) -> tuple[Model, np.ndarray, Context] | None:
-        """The model in use, the joints' readings (n,) and the circumstances.
-
-        None while the readings or a circumstance that the model needs are unknown.
-        """
+        """The model, the joints' readings (n,) and the circumstances; None while one is unknown."""
         q, context = self.joints, self.known_context()
         return None if q is None or context is None else (self.files.loaded.model, q, context)
 
@@ -161,15 +153,11 @@ class ArmState:
         self.take_in(f"inclination {row}", columns)
 
     def take_in(self, source: str, columns: dict[str, float], at_s: float | None = None) -> None:
-        """Keep circumstances that were received or estimated.
+        """Keep circumstances of a source that were received, or estimated at ``at_s`` (monotonic).
 
-        Values that are not finite are dropped. An impossible value is noted with its fault, and
-        replaces the earlier reading: the message shows that this reading is out of date.
-
-        Args:
-            source: where the values come from, such as ``temperature``.
-            columns: values by name of a session's column.
-            at_s: time of the reading, s, monotonic clock; None: now.
+        ``columns`` has the values by name of a session's column. Values that are not finite are
+        dropped. An impossible value is noted with its fault, and replaces the earlier reading: the
+        message shows that this reading is out of date.
         """
         if not all(math.isfinite(value) for value in columns.values()):
             self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")
@@ -219,8 +207,11 @@ class ArmState:
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
 
-_MOVED = 2e-2
-"""A joint that is this far (rad, m) from its last end was moved: encoder noise is smaller."""
+_MOVED, _HELD = 2e-2, 3.0 * JOINT_REST
+"""A joint that is this far (rad, m) from its last end was moved.
+
+The second is for joints that rested within `JOINT_REST` of it: servos that yield stand below it.
+"""
 
 
 class DriverLink:
@@ -245,6 +236,7 @@ class DriverLink:
         self.history = History.unknown(state.arm.n)
         self._end: np.ndarray | None = None
         self._arrived = self._left = False
+        self._held_since = math.inf  # since when (ROS clock, s) the joints rest at the end
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -DRIVER_SILENT_S
         self._known: set[str] = set()
@@ -258,10 +250,7 @@ class DriverLink:
 
     @property
     def refusal(self) -> str:
-        """The reason why nothing can be sent now; empty if the driver takes trajectories.
-
-        It is also empty if no acknowledgements are expected.
-        """
+        """The reason why nothing can be sent now; always empty without acknowledgements."""
         if not self.acknowledged:
             return ""
         now, state = time.monotonic(), self._state
@@ -282,18 +271,12 @@ class DriverLink:
 
     @property
     def rests_at(self) -> np.ndarray | None:
-        """(n,) where the arm was sent and rests, rad and m: servos that yield stand below it.
-
-        None while it moves, or if it is not known.
-        """
+        """(n,) where the arm was sent and rests, rad and m (it may yield below it); or None."""
         return self._end if self._arrived and not self._left else None
 
     @property
     def has_answered(self) -> bool:
-        """True once the driver has accepted or refused the trajectory that `expect` names.
-
-        Always True if no acknowledgements are expected.
-        """
+        """True once the trajectory that `expect` names is answered, or if answers do not come."""
         return self._answer is not None or not self.acknowledged
 
     @property
@@ -336,6 +319,7 @@ class DriverLink:
         """Note that the joints (rad, m) move from a start (n,), if known, along a path (k, n)."""
         self.history = self.history.after(path, start)
         self._end, self._arrived, self._left = path[-1], False, False
+        self._held_since = math.inf
         for listen in self.command_listeners:
             listen(path[-1], self.history)
 
@@ -345,15 +329,18 @@ class DriverLink:
         self._arrived = self._left = False
 
     def on_joints(self, q: np.ndarray, at_s: float) -> None:
-        """Note whether the joints (n,) have come to the end of the last command, or left it again.
+        """Forget the history if the joints (n,) leave the end of the last command.
 
-        This is needed only without acknowledgements: such a driver does not report that another
-        program moves the arm. The history is unknown from then on.
+        Only without acknowledgements: that driver does not report that another program moves them.
         """
         end = self._end
         if self.acknowledged or end is None:
             return
-        there = bool(np.abs(q - end).max() <= _MOVED)
+        off = float(np.abs(q - end).max())
+        held = at_s - self._held_since >= REST_S
+        if not held:
+            self._held_since = min(self._held_since, at_s) if off <= JOINT_REST else math.inf
+        there = off <= (_HELD if held else _MOVED)
         self._left = self._left or (self._arrived and not there)
         self._arrived = self._arrived or there
         if self._left:  # not if a command, received meanwhile on the worker, moves them
@@ -378,7 +365,6 @@ class DriverLink:
     def report(self) -> Report:
         if not self.acknowledged:
             return Report(OK, UNACKNOWLEDGED)
-        why = self.refusal
-        if why:
+        if why := self.refusal:
             return Report(ERROR if self._rival_s > self._heard_s - DRIVER_SILENT_S else WARN, why)
         return Report(OK, "the driver takes trajectories")

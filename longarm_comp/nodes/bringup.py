@@ -48,7 +48,7 @@ The first is long because the driver reads every servo and switches it off.
 
 @dataclass
 class Supervisor:
-    """A supervisor of processes. Use it as a context manager.
+    """A supervisor of processes, and a context manager.
 
     If another process ends for good, the servo driver goes on, because it holds the arm up.
     """
@@ -106,11 +106,7 @@ class Supervisor:
                 self._start_process(name, f"ended ({how}), started again")
 
     def run(self, stop: threading.Event) -> None:
-        """Restart processes that end until the event is set.
-
-        Raises:
-            JobError: as `look` does; also after the event, if a process stayed ended.
-        """
+        """Restart processes that end until the event is set; JobError if one stayed ended."""
         while not stop.wait(0.2):
             self.look()
         if self.gone:
@@ -147,40 +143,25 @@ class BringUp:
     """The settings of one arm's graph.
 
     Attributes:
-        arm: the arm's file, arm.yaml.
-        model: the model's file; None: the arm as declared.
-        predictor: the predictor's file; None: no learned error is compensated.
-        effects: Python files that define further effects, executed by `kinematics` and `PATHS`.
-        network: Python file of the predictor's network, executed by `error_predictor`.
-        sim: whether the simulated arm runs instead of hardware.
-        namespace: namespace of the graph; empty for none.
-        config: folder of parameter files ``<node>.yaml`` that replace the package's own; None: the
-            arm's folder.
-        port: serial port of the servos; empty: the port in the parameter file.
-        speed: factor on all velocities in simulation.
-        set: further parameters, by node and name.
-        without: nodes that are not started.
         driver: whether `servo_driver` runs. If not, another program drives the arm, and
             `stereo_bridge` runs only if the folder has the calibration of a camera pair.
-        paths: whether `PATHS` runs too.
-        shaping: whether `servo_driver` splits moves so that the arm rings little afterwards.
     """
 
-    arm: Path
-    model: Path | None = None
-    predictor: Path | None = None
-    effects: tuple[Path, ...] = ()
-    network: Path | None = None
-    sim: bool = False
-    namespace: str = ""
-    config: Path | None = None
-    port: str = ""
-    speed: float = 1.0
-    set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    without: tuple[str, ...] = ()
+    arm: Path  # arm.yaml
+    model: Path | None = None  # its file; None: the arm as declared
+    predictor: Path | None = None  # its file; None: no learned error is compensated
+    effects: tuple[Path, ...] = ()  # Python files that `kinematics` and `PATHS` execute
+    network: Path | None = None  # Python file that `error_predictor` executes
+    sim: bool = False  # the simulated arm runs instead of hardware
+    namespace: str = ""  # of the graph; empty for none
+    config: Path | None = None  # folder of <node>.yaml that replace the package's; None: the arm's
+    port: str = ""  # serial port of the servos; empty: the port in the parameter file
+    speed: float = 1.0  # factor on all velocities in simulation
+    set: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)  # by node and parameter
+    without: tuple[str, ...] = ()  # nodes that are not started
     driver: bool = True
-    paths: bool = False
-    shaping: bool = False
+    paths: bool = False  # `PATHS` runs too
+    shaping: bool = False  # `servo_driver` splits moves so that the arm rings little afterwards
 
     def __post_init__(self) -> None:
         for name in (*self.set, *self.without):
@@ -250,10 +231,7 @@ class BringUp:
         return replace(self, config=scratch)
 
     def parameters(self, node: str, bus: str) -> dict[str, Any]:
-        """Return the parameters of a node that override its parameter file.
-
-        ``bus``: path of the link to the simulated servo bus.
-        """
+        """Return a node's parameters that override its file; ``bus``: link to the simulated bus."""
         arm, model = _path_parameter("arm", self.arm), _path_parameter("model", self.model)
         if not self.driver and node in ("kinematics", PATHS):
             return arm | model | {"acknowledged": False} | dict(self.set.get(node, {}))
@@ -289,13 +267,7 @@ class BringUp:
         return values | dict(self.set.get(node, {}))
 
     def _scale_speeds(self, node: str) -> dict[str, Any]:
-        """Return the parameters of a node that depend on ``speed``, scaled for a simulation.
-
-        The error at which a joint counts as not following grows with the speed, because a moving
-        joint lags by its velocity times the driver's cycle. It is at most half a turn, the driver's
-        upper bound. The longest time step shrinks with the speed, down to one cycle, because
-        readings that differ by more than half a turn are not believed.
-        """
+        """Return the parameters of a node that depend on ``speed``, scaled for a simulation."""
         if node not in ("servo_driver", "simulated_arm", "kinematics"):
             return {}
         speed, given = float(self.speed), read_parameters(self.file(node))
@@ -307,6 +279,9 @@ class BringUp:
             return {"speed_ticks_s": faster, "lag_s": usual["lag_s"] / speed}
         longest = usual["follower.max_step_s"]
         joints = ServoConfig.load(self.file(node)).joints
+        # A moving joint lags by its velocity times the driver's cycle, so more counts as following,
+        # up to the driver's bound. The longest time step is shorter, because readings that differ
+        # by more than half a turn are not believed
         half_turn = min(joint.servo.ticks_per_turn for joint in joints.values()) / 2
         lost = speed * usual["follower.lost_error_ticks"]
         tops = {
@@ -322,19 +297,13 @@ class BringUp:
         }
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
-        """Return a node's own parameter file, then one written to ``scratch`` that overrides it.
-
-        ``bus``: path of the link to the simulated servo bus.
-        """
+        """Return a node's own parameter file, then one written to ``scratch`` that overrides it."""
         values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]
 
     def arguments(self, node: str) -> list[str]:
-        """Return a node's command-line arguments: the Python files that it executes.
-
-        Only the command line may name such files, never a parameter file.
-        """
+        """Return a node's command-line arguments: the Python files that it executes."""
         if node == "error_predictor":
             return [NETWORK, str(self.network.absolute())] if self.network else []
         loads = self.effects if node in ("kinematics", PATHS) else ()
@@ -363,11 +332,7 @@ def _path_parameter(name: str, path: Path | None) -> dict[str, Any]:
 
 
 def _refuse_code(file: Path) -> None:
-    """Refuse a parameter file that names Python files, at any depth.
-
-    Raises:
-        InputError: naming the parameter.
-    """
+    """Refuse a parameter file that names Python files, at any depth: only a command line may."""
     ahead = [read_yaml(file)]
     while ahead:
         tree = ahead.pop()
@@ -385,9 +350,7 @@ def running(
 ) -> Iterator[Supervisor]:
     """Start the graph's processes; end all of them on exit, also after an exception.
 
-    Args:
-        respawn: restart a process that ends, except after exit code 2 (bad input).
-        say: called with a message on every start and end of a process.
+    ``respawn`` and ``say``: as of `Supervisor`.
     """
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         graph = graph.with_servos(Path(scratch))

@@ -17,11 +17,7 @@ def stamp_ns(stamp: Time) -> int:
 
 
 def told_ns(stamp: Time, now_ns: int) -> int:
-    """Return the time (ns) to which the content of a message received now belongs.
-
-    It is the message's stamp. It is ``now_ns`` if the stamp is 0 (not set) or later than now (the
-    sender's clock is ahead).
-    """
+    """Return the time (ns) of a message's content: its stamp, or now if this is 0 or later."""
     return min(stamp_ns(stamp) or now_ns, now_ns)
 
 
@@ -34,10 +30,7 @@ def sleepless_s() -> float:
 
 
 def sent_s(source_ns: int) -> float:
-    """Return the monotonic time (s) at which the middleware sent a message.
-
-    ``source_ns``: the sender's wall clock, ns; 0 if not known, which counts as now.
-    """
+    """Return when (monotonic s) a message was sent, by its sender's wall clock; 0 ns: now."""
     return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
 
 

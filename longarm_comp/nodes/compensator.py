@@ -57,8 +57,6 @@ class Compensator:
     def kind(self) -> Hashable:
         """Return a key that changes whenever targets need newly compiled programs.
 
-        It holds the model's hash and version, the options, and which circumstances are known.
-
         Raises:
             StaleContext: a circumstance that the model needs is not known.
         """
@@ -74,7 +72,7 @@ class Compensator:
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)
         target = PoseStamped(header=frame, pose=pose_message(self._files.rigid.pose(mid)))
-        self.answer(TargetRequest("", target, False, False, 0.0, seed))
+        self.answer(TargetRequest("", target, False, 0.0, execute=False, seed=seed))
 
     def answer(self, target: TargetRequest) -> Answer:
         """Compute a target; return its answer, which may be a refusal."""
@@ -140,11 +138,7 @@ class Compensator:
         return Answer(in_base, status, reason, method, loaded.file_hash, used, arrival)
 
     def _in_base(self, target: TargetRequest) -> tuple[PoseStamped, np.ndarray]:
-        """Return the target in the base frame, as a message and as (4, 4) or (3,), m.
-
-        Raises:
-            Refusal: the target is invalid, or tf does not connect its frame with the base.
-        """
+        """Return the target in the base frame, as a message and as (4, 4) or (3,), m."""
         place, header = target_of(target.pose, target.position_only), target.pose.header
         if header.frame_id in (self._base_frame, self._state.p["base_frame"]):
             return target.pose, place
@@ -173,11 +167,7 @@ class Compensator:
         """Return the joints (n,), rad and m, where the move starts, and the seed of the search.
 
         A move that is executed starts at the present joints. One that is only computed starts at
-        the seed, if the target has one. The seed is None if the target has none.
-
-        Raises:
-            Refusal: the present joints are unknown, too old or doubtful.
-            InputError: the seed belongs to another arm, or is outside the limits.
+        the seed, if the target has one.
         """
         seed = None
         if target.seed.name:
@@ -192,10 +182,9 @@ class Compensator:
 
 
 class Readiness:
-    """Prepares, on the worker and between targets, what the next target needs.
+    """Compiles, on the worker and between targets, the programs that the next target needs.
 
-    A new model, another method, or a circumstance that is received for the first time needs newly
-    compiled programs. `Compensator.rehearse` compiles them.
+    A new model, another method, or a circumstance received for the first time needs new ones.
     """
 
     def __init__(self, state: ArmState, compute: Compensator) -> None:
@@ -214,7 +203,7 @@ class Readiness:
     def _programs_needed(self) -> tuple[Hashable, str]:
         """Return the key of the programs that the next target needs.
 
-        The second value says why a circumstance is unknown, so that the key is the last one; or "".
+        While a circumstance is unknown, it is the last key; the second value then says why.
         """
         try:
             return (self._compute.kind() if self._compiled else "not compiled"), ""

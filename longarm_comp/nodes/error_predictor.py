@@ -30,7 +30,6 @@ PARAMS = (
     PERIOD,
 )
 
-
 _OUTSIDE = "outside the training data"
 
 
@@ -94,10 +93,7 @@ class _ErrorPredictor(ArmNode):
             self._errors.publish(error_message(response.error, stamp, self._base_frame))
 
     def _reload_files(self) -> tuple[bool, str]:
-        """Read the predictor's file again; return success and a message.
-
-        If this fails, the predictor in use stays, unless model.yaml has changed.
-        """
+        """Read the predictor's file again; on failure keep it, unless model.yaml has changed."""
         if not self._path:
             return False, "no predictor file is configured"
         self._model.reload()

@@ -72,9 +72,8 @@ class FrameTeller:
 class FrameListener:
     """Keeps the frames published on /tf and /tf_static. They may be read from any thread.
 
-    Args:
-        wait_s: longest wait for a frame that is published late, s.
-        refused: called for every invalid transform, with ``bad tf`` and the reason.
+    ``wait_s``: longest wait for a frame that is published late, s. ``refused`` is called for every
+    invalid transform.
     """
 
     def __init__(self, node: Node, wait_s: float, refused: Callable[[str, str], None]) -> None:
@@ -85,10 +84,7 @@ class FrameListener:
             graph.TF_STATIC.subscription(node, lambda message: self._hear_tf(message, static=True))
 
     def place(self, frame: str, within: str, t_ns: int) -> np.ndarray:
-        """Return the pose (4, 4), m, of a frame in the frame ``within``.
-
-        Args:
-            t_ns: time of the pose, ns; 0 for the latest known.
+        """Return the pose (4, 4), m, of a frame in the frame ``within`` at ``t_ns``; 0: the latest.
 
         Raises:
             UnknownPlace: the pose is not known.

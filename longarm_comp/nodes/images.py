@@ -81,9 +81,7 @@ def pixels_of(message: Image) -> Grey:
 
 
 def decode(message: CompressedImage) -> Grey:
-    """Decode a compressed image to grey pixels (H, W), uint8.
-
-    The message's ``format`` must be as image_transport writes it.
+    """Decode a compressed image of image_transport to grey pixels (H, W), uint8.
 
     Raises:
         StereoRefusal: BAD_IMAGE, if the data are no image.
@@ -104,10 +102,7 @@ def decode(message: CompressedImage) -> Grey:
 
 
 def _to_8_bits(numbers: Samples) -> Grey:
-    """Reduce numbers to 8 bits: the highest 8 bits that occur in the image.
-
-    Cameras of 10, 12 and 14 bits leave the upper bits of the 16 empty.
-    """
+    """Return the highest 8 bits that occur in the image: cameras leave some of the 16 empty."""
     if numbers.dtype == np.uint8:
         return numbers.astype(np.uint8, copy=False)
     used = int(numbers.max(initial=0)).bit_length()
@@ -142,13 +137,9 @@ class ImageInlet:
     """A subscription to images whose reliability fits the present publishers.
 
     A reliable subscription receives nothing from a best-effort publisher, without any warning.
+    ``watch`` counts images that the middleware lost or that a full queue dropped.
 
-    Args:
-        take: called with every image message.
-        reliable: subscribe reliably if every publisher offers it; else always best effort.
-
-    Attributes:
-        watch: counts images that the middleware lost or that a full queue dropped.
+    ``reliable``: subscribe reliably if every publisher offers it; else always best effort.
     """
 
     def __init__(

@@ -53,26 +53,23 @@ _PATIENT = QoSProfile(depth=200)
 class Topic:
     """One topic of the graph.
 
-    Attributes:
-        name: name, relative to the namespace of the arm unless it begins with ``/``.
-        depth: number of messages that are kept on either side.
-        listens: reliability of subscriptions. Publishers are always reliable, which suits both.
-        latched: whether a later subscriber also receives the last messages.
+    Publishers are always reliable, which suits subscriptions of both kinds.
     """
 
-    name: str
+    name: str  # relative to the namespace of the arm unless it begins with /
     type: Any  # of its messages
-    depth: int
-    listens: ReliabilityPolicy
-    latched: bool = False
+    depth: int  # number of messages that are kept on either side
+    listens: ReliabilityPolicy  # of subscriptions
+    latched: bool = False  # a later subscriber also receives the last messages
 
     def publisher(self, node: Node) -> Any:
-        qos = QoSProfile(depth=self.depth, durability=self._choose_durability)
-        return node.create_publisher(self.type, self.name, qos, event_callbacks=_UNHEARD_PUBLISHER)
+        return node.create_publisher(
+            self.type, self.name, self._make_qos(RELIABLE), event_callbacks=_UNHEARD_PUBLISHER
+        )
 
-    @property
-    def _choose_durability(self) -> DurabilityPolicy:
-        return DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
+    def _make_qos(self, reliability: ReliabilityPolicy, depth: int | None = None) -> QoSProfile:
+        kept = DurabilityPolicy.TRANSIENT_LOCAL if self.latched else DurabilityPolicy.VOLATILE
+        return QoSProfile(depth=depth or self.depth, reliability=reliability, durability=kept)
 
     def subscription(
         self,
@@ -84,23 +81,15 @@ class Topic:
         *,
         raw: bool = False,
     ) -> Any:
-        """Subscribe to the topic on a node.
+        """Subscribe to the topic on a node, by default with the topic's reliability and depth.
 
-        Args:
-            listens: reliability; by default the topic's own.
-            depth: number of messages kept; by default the topic's own.
-            raw: whether the callback gets each message as bytes.
+        ``raw``: whether the callback gets each message as bytes.
         """
-        qos = QoSProfile(
-            depth=depth or self.depth,
-            reliability=listens or self.listens,
-            durability=self._choose_durability,
-        )
         return node.create_subscription(
             self.type,
             self.name,
             callback,
-            qos,
+            self._make_qos(listens or self.listens, depth),
             callback_group=group,
             event_callbacks=_UNHEARD_SUBSCRIPTION,
             raw=raw,

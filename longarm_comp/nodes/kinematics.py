@@ -78,9 +78,8 @@ class Kinematics(ArmNode):
         graph.TIP_MEASURED.subscription(self, self._on_tip)
         self.on_request(graph.RELOAD, state.worker, lambda request: self._reload_model())
         self.on_request(graph.UNDO, state.worker, lambda request: self._undo())
-        self.on_request(
-            graph.FREEZE, state.worker, lambda request: self._learning.freeze(request.data)
-        )
+        freeze = self._learning.freeze
+        self.on_request(graph.FREEZE, state.worker, lambda request: freeze(request.data))
         self.on_change((p["model"],), state.worker, self._reload_model)
         ready = compensator.Readiness(state, compute)
         self.health.parts |= {

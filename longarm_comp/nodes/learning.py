@@ -31,10 +31,7 @@ PARAMS = (
 
 
 class Learning:
-    """Replaces the model in use by the learned one, and saves this in a file beside model.yaml.
-
-    All methods except `report` must be called on the worker.
-    """
+    """Replaces the model in use by the learned one, on the worker, and saves this in a file."""
 
     def __init__(self, state: ArmState) -> None:
         self._state, self._files = state, state.files
@@ -48,13 +45,13 @@ class Learning:
         )
         self._lock: IO[bytes] | None = None
         self._told = graph.LEARNED.publisher(state.node)
-        steady_timer(state.node, _AGAIN_S, self._queue_keeping)
+        # A frozen learner has no next change that would save
+        again_s = 5.0  # between two attempts to save after a failure
+        steady_timer(state.node, again_s, lambda: state.worker.submit_once(self._keep_again))
         self.begin()
 
     def begin(self) -> None:
-        """Continue from the file of what was learned with the loaded model.
-
-        What was learned with another model is kept for its return.
+        """Continue from what was learned with the loaded model; keep that of another one.
 
         Raises:
             InputError: nothing can be learned with this model, or the file is damaged or used by
@@ -80,12 +77,9 @@ class Learning:
         self._tell(self.learner)
 
     def learn_from(self, rest: RestPose, context: Context, learned: Expansion | None) -> bool:
-        """Learn from the tip at a rest pose; nothing while frozen.
+        """Learn from the tip at a rest pose, without the error that a predictor expects.
 
-        ``learned``: answer of the predictor; the error that it expects is subtracted from the tip.
-
-        Returns:
-            Whether another version of the model began, because a change is now certain.
+        Return whether another version of the model began, because a change is now certain.
         """
         before = self.learner
         if before is None or before.frozen:
@@ -133,12 +127,7 @@ class Learning:
             self._fault = f"not kept: {error}"
         self._told.publish(String(data=str(self._path.absolute())))
 
-    def _queue_keeping(self) -> None:
-        if self.learner is not None and self._fault:
-            self._state.worker.submit_once(self._keep_again)
-
     def _keep_again(self) -> None:
-        """Try again to save, because a frozen learner has no next change that would save."""
         if self.learner is not None and self._fault:
             self._tell(self.learner)
 
@@ -159,24 +148,20 @@ class Learning:
             said = "something changed that no known effect explains: run longarm diagnose"
             return Report(WARN, said, facts)
         if learner.disagreeing >= _MANY:
-            said = (
-                f"{learner.disagreeing} of the last sightings seem wrong: look at marker and camera"
-            )
-            return Report(WARN, said, facts)
+            seem = "of the last sightings seem wrong: look at marker and camera"
+            return Report(WARN, f"{learner.disagreeing} {seem}", facts)
         if learner.knocked:
             moved = "; ".join(n.text for n in learner.now)
             said = f"base or camera, tip or marker was moved: calibrate again ({moved})"
             return Report(WARN, said, facts)
-        now = [f"{n.text}, since {datetime.fromtimestamp(n.since_s):%H:%M}" for n in learner.now]
-        found = "; ".join(now)
+        since = (f"{n.text}, since {datetime.fromtimestamp(n.since_s):%H:%M}" for n in learner.now)
+        found = "; ".join(since)
         state = "frozen" if learner.frozen else "learning"
         if self._asked is not None:
             found += f"; {self._asked.text}"
         return Report(OK, f"{state}: {found or 'nothing changed'}", facts)
 
 
-_AGAIN_S = 5.0
-"""Time between two attempts to save after a failure, s."""
 _MANY = 5
 """Number of wrong sightings among the last twenty from which on a warning is given.
 

@@ -40,16 +40,11 @@ from longarm_interfaces.msg import DriverState, Motion
 FARTHEST = range_of("_m")[1]
 STRONGEST = 1e6
 """Largest force (N) or torque (N m) of a sensor that is taken as possible."""
-
-
 Message = TypeVar("Message")
 
 
 def fill(blank: Message, **fields: Any) -> Message:
-    """Return a copy of a message with the given fields replaced.
-
-    This is faster than the message's class, which would first make the defaults of all fields.
-    """
+    """Return a copy of a message with new fields: faster than its class, which makes defaults."""
     made = copy(blank)
     for name, value in fields.items():
         setattr(made, name, value)
@@ -113,10 +108,7 @@ def joints_of(message: JointState, arm: Arm, where: str) -> np.ndarray:
 
 
 def efforts_of(message: JointState, arm: Arm) -> np.ndarray:
-    """Return efforts (n,) in the order of the arm, N m and N; NaN if missing or above `STRONGEST`.
-
-    The message must name every joint of the arm.
-    """
+    """Return efforts (n,) of all joints, N m and N; NaN if missing or above `STRONGEST`."""
     if len(message.effort) != len(message.name):
         return np.full(arm.n, np.nan)
     at = dict(zip(message.name, message.effort, strict=True))
@@ -160,11 +152,7 @@ def path_of(message: JointTrajectory, arm: Arm) -> np.ndarray:
 
 
 def motion_of(message: Motion, arm: Arm) -> tuple[np.ndarray, np.ndarray]:
-    """Return start (n,) and way-points (k, n) of an accepted trajectory, rad and m.
-
-    Raises:
-        InputError: joints are missing or outside their limits.
-    """
+    """Return start (n,) and way-points (k, n) of an accepted trajectory; raise as `path_of`."""
     start = joints_of(message.start, arm, "start of motion")
     check_inside(start, arm, "start of motion")
     way = JointTrajectory(joint_names=message.start.name, points=message.points)
@@ -212,15 +200,10 @@ def points_message(
 
 
 def trajectory_of(message: JointTrajectory) -> devices.JointTrajectory:
-    """Convert a trajectory to the record that the devices use.
-
-    The stamp is not used: the motion starts when the driver accepts the trajectory.
-    """
+    """Convert a trajectory to the record of the devices: it starts when it is accepted."""
     points = tuple(
-        devices.TrajectoryPoint(
-            seconds(point.time_from_start), tuple(point.positions), tuple(point.velocities)
-        )
-        for point in message.points
+        devices.TrajectoryPoint(seconds(p.time_from_start), tuple(p.positions), tuple(p.velocities))
+        for p in message.points
     )
     return devices.JointTrajectory(tuple(message.joint_names), points)
 
@@ -293,12 +276,7 @@ def tip_message(
 def express_sighting(
     message: PoseWithCovarianceStamped, place: np.ndarray, frame: str
 ) -> PoseWithCovarianceStamped:
-    """Return a sighting expressed in another frame.
-
-    Args:
-        place: (4, 4) pose of the sighting's own frame in the other frame, m.
-        frame: name of the other frame.
-    """
+    """Return a sighting expressed in ``frame``; its own frame is at ``place`` (4, 4), m, in it."""
     tip, o = sighting_of(message)[0], message.pose.pose.orientation
     turn = np.array([o.x, o.y, o.z, o.w])
     seen = quaternion.compute_pose(tip, turn) if quaternion.is_unit(turn) else tip

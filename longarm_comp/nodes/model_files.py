@@ -66,12 +66,10 @@ class ModelFiles:
             return True, "the arm as declared: no model.yaml is configured"
         try:
             model = load_model(self._path, self.arm)
-            kept = model.with_terms(
-                [t for t in model.terms if isinstance(t, Bias) or t.commandable]
-            )
+            told = [t for t in model.terms if isinstance(t, Bias) or t.commandable]
+            kept = model.with_terms(told)
             self._left_out = sorted({e.name for e in model.effects if e not in kept.effects})
-            model = self._of_commands(kept)
-            self.loaded = self.given = _LoadedModel(model, file_hash(self._path))
+            self.loaded = self.given = _LoadedModel(self._of_commands(kept), file_hash(self._path))
         except LongarmError as error:
             self._fault = str(error)
             return False, self._fault
@@ -85,10 +83,9 @@ class ModelFiles:
             self.loaded = replace(self.loaded, model=model, learned=self.loaded.learned + 1)
 
     def follow_learned(self, path: str) -> None:
-        """Use the model that another node learned at work and saved in a file.
+        """Use the model that another node learned at work and saved in a file; "": the given one.
 
-        An empty ``path`` means: use the model of model.yaml. If the file cannot be read, `refusal`
-        gives the reason, because the present state of the arm is then unknown.
+        If the file cannot be read, the present state of the arm is unknown: `refusal` says so.
         """
         from longarm_comp.core.at_work import file  # imports SciPy: only where it is needed
 
@@ -106,11 +103,9 @@ class ModelFiles:
 
     @property
     def refusal(self) -> str:
-        """The reason why no target may be computed; empty if targets may be computed.
+        """The reason why no target may be computed: an existing model cannot be read; or empty.
 
-        It is set if model.yaml exists but no version of it could be loaded: the declared arm is no
-        substitute, because the tip would go elsewhere. It is also set while the learned model
-        cannot be read.
+        The declared arm is no substitute for it, because the tip would go elsewhere.
         """
         lost = self._fault and not self.loaded.file_hash and Path(self._path).exists()
         return f"the model cannot be used: {self._fault}" if lost else self._unread

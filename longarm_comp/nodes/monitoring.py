@@ -47,10 +47,7 @@ PARAMS = (
 
 
 class ReadingsTeller:
-    """Publishes the tip, computed from the joints' readings, at an interval while the arm rests.
-
-    The tip is computed on the worker's thread.
-    """
+    """Publishes the tip, computed on the worker from the joints' readings, while the arm rests."""
 
     def __init__(self, state: ArmState) -> None:
         self._state = state
@@ -64,8 +61,7 @@ class ReadingsTeller:
         now = self._state.standing
         q, before = None if now is None else now[1], self._before
         self._before = q
-        rests = q is not None and before is not None and np.abs(q - before).max() <= JOINT_REST
-        if rests:
+        if q is not None and before is not None and np.abs(q - before).max() <= JOINT_REST:
             self._state.worker.submit_once(self.tell)
 
     def tell(self) -> TipByReadings | None:
@@ -105,17 +101,11 @@ def _format_mm(vector: np.ndarray) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Sighted:
-    """The tip seen at rest at a target.
+    """The tip seen at rest at a target."""
 
-    Attributes:
-        q: (n,) joints of the command, rad and m.
-        tip: (3,) m, in the base frame.
-        miss: (3,) m, tip - target, without biases.
-    """
-
-    q: np.ndarray
-    tip: np.ndarray
-    miss: np.ndarray
+    q: np.ndarray  # (n,) joints of the command, rad and m
+    tip: np.ndarray  # (3,) m, in the base frame
+    miss: np.ndarray  # (3,) m, tip - target, without biases
 
 
 class TipMonitor:
@@ -164,17 +154,14 @@ class TipMonitor:
             self._watch.on_command(q, history)
 
     def on_motion(self, motion: Motion) -> None:
-        """Note a message of the driver about the present command.
-
-        An arrival counts from now, not from the message's stamp, because clocks may differ.
-        """
+        """Note a message of the driver about the present command."""
         if motion.event == Motion.ACCEPTED:
             self._under_way = motion.id
         if motion.id != self._under_way:
             return
         with self._feeding:
             if motion.event == Motion.REACHED:
-                self._watch.on_arrival(self._state.now_s)
+                self._watch.on_arrival(self._state.now_s)  # not its stamp: clocks may differ
             elif motion.event in (Motion.REPLACED, Motion.BROKEN_OFF):
                 self._watch.forget()
 
@@ -186,8 +173,7 @@ class TipMonitor:
     def on_tip(self, message: PoseWithCovarianceStamped) -> RestPose | None:
         """Add a sighting, in the model's frame; return the rest pose that it completes, if any.
 
-        The sighting belongs to the time of its stamp, because images of a moving arm may come late.
-        Without a stamp, or with one in the future, it belongs to the present time.
+        It belongs to the time of its stamp, because images of a moving arm may come late.
         """
         tip, variance = sighting_of(message)
         try:
@@ -215,9 +201,8 @@ class TipMonitor:
         seen = rest.tip if learned is None else rest.tip - learned.error
         residual = seen - model.measured(rest.q, context)
         if not np.isfinite(residual).all():
-            self._state.node.tally.count_dropped(
-                "rest", f"the residual at a rest is {residual.tolist()}"
-            )
+            why = f"the residual at a rest is {residual.tolist()}"
+            self._state.node.tally.count_dropped("rest", why)
             return None
         self._last = f"residual {_format_mm(residual)}"
         if missed is not None:
@@ -254,10 +239,7 @@ class TipMonitor:
         return missed
 
     def judge_servos(self, model: Model, read: np.ndarray, context: Context) -> None:
-        """Add the joint readings (n,) at the end of a move to the test of the servos.
-
-        The tip computed from the readings is compared with the tip computed from the command.
-        """
+        """Compare the tip by the readings (n,) at a move's end with the tip by the command."""
         if self._sent is None:
             return
         promised = model.tip(self._sent, context)
@@ -269,8 +251,8 @@ class TipMonitor:
         verdict = self._servos.verdict()
         facts = _test_facts("moves", verdict)
         if verdict.drifted:
-            said = f"the joints' readings differ from the commands: {verdict.finding}"
-            return Report(WARN, said, facts)
+            differ = "the joints' readings differ from the commands"
+            return Report(WARN, f"{differ}: {verdict.finding}", facts)
         return Report(OK, "joints stand where they were sent", facts)
 
     def target_report(self) -> Report:
@@ -280,9 +262,8 @@ class TipMonitor:
         if not verdict.drifted:
             return Report(OK, "tips come to rest at their targets", facts)
         if self._monitor.verdict().drifted:
-            return Report(
-                WARN, f"the tip misses target and prediction alike: {verdict.finding}", facts
-            )
+            alike = "the tip misses target and prediction alike"
+            return Report(WARN, f"{alike}: {verdict.finding}", facts)
         cause = "the predictions are right, so the commands were computed for other circumstances"
         return Report(WARN, f"beside the target: {verdict.finding}; {cause}", facts)
 
@@ -312,10 +293,7 @@ class TipMonitor:
 
 
 class RingTeller:
-    """Computes how the arm rings after a move, on the worker when no other job waits.
-
-    ``shaped``: whether the driver splits moves so that they leave little ring.
-    """
+    """Computes how the arm rings after a move, on the worker when no other job waits."""
 
     def __init__(self, state: ArmState, shaped: bool) -> None:
         self._state, self._shaped = state, shaped

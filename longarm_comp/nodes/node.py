@@ -39,12 +39,7 @@ _LAST_WORDS_S = 2.0
 
 
 class ArmNode(Node):
-    """A node of an arm's graph.
-
-    Args:
-        executor: the executor to which the node will be added.
-        table: the parameters of the node.
-        sections: prefixes of parameters that are not in the ``table`` and are checked elsewhere.
+    """A node of an arm's graph, with the parameters of a table (and ``sections``: see `declare`).
 
     Attributes:
         p: values of the parameters, by name.
@@ -73,12 +68,12 @@ class ArmNode(Node):
         """Make a worker thread that ends with the node; ``capacity`` jobs may wait for it."""
         self._workers.append(Worker(self, self._made_for, capacity, self.health.fault))
 
-        def report() -> Report:
-            why = next((worker.failing for worker in self._workers if worker.failing), "")
-            return Report(ERROR, f"no motion: {why}") if why else Report(OK, "every job was done")
-
-        self.health.parts["worker"] = report
+        self.health.parts["worker"] = self._report_workers
         return self._workers[-1]
+
+    def _report_workers(self) -> Report:
+        why = next((worker.failing for worker in self._workers if worker.failing), "")
+        return Report(ERROR, f"no motion: {why}") if why else Report(OK, "every job was done")
 
     def close(self) -> bool:
         """Stop the node's threads; return whether all of them have ended. Must not raise."""
@@ -113,10 +108,7 @@ class ArmNode(Node):
     def on_request(
         self, service: Service, worker: Worker, job: Callable[[Any], tuple[bool, str]]
     ) -> None:
-        """Offer a service of std_srvs whose requests a worker handles.
-
-        ``job`` gets the request and returns success and a message for the response.
-        """
+        """Offer a service of std_srvs; a worker's ``job`` returns success and message."""
 
         async def serve(request: Any, response: Any) -> Any:
             future = worker.ask(partial(job, request))
@@ -129,17 +121,13 @@ class ArmNode(Node):
 
 
 def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] = ()) -> int:
-    """Run a node until a signal is received or its supervisor is gone.
+    """Run a node until a signal is received or its supervisor is gone; return the exit code.
 
     Signals only set an event, so a second signal does not interrupt the clean-up.
 
     Args:
-        make: makes the node.
         words: ``--effects FILE`` and ``--network FILE`` of the command line, as often as needed.
             No parameter may name such a file, because it is executed.
-
-    Returns:
-        The exit code: 0, the code of an error (2 for bad parameters or files), or the node's own.
     """
     # Interval at which Python switches between threads, s. The default is 5 ms
     sys.setswitchinterval(2e-4)
@@ -179,8 +167,8 @@ def run(make: Callable[[SingleThreadedExecutor], ArmNode], words: Sequence[str] 
             # A message that no subscriber has yet is lost with its publisher
             by = time.monotonic() + _LAST_WORDS_S
             for publisher in node.publishers:
-                left_s = max(0.0, by - time.monotonic())
-                if not publisher.wait_for_all_acked(Duration(seconds=left_s)):
+                left = Duration(seconds=max(0.0, by - time.monotonic()))
+                if not publisher.wait_for_all_acked(left):
                     break
             node.destroy_node()
         rclpy.try_shutdown()

@@ -44,10 +44,7 @@ def order_id(message: JointTrajectory) -> str:
 
 
 class Stamps:
-    """The stamps of a node's orders, each different.
-
-    A stamp is the present time. While the clock does not run, it is 1 ns after the last stamp.
-    """
+    """The stamps of a node's orders: the present time, or the last + 1 ns if the clock stands."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self._read, self._last = clock, 0, 0
@@ -75,14 +72,11 @@ however long that was."""
 
 
 class Freshness:
-    """A limit on the age of the orders that a node accepts.
+    """A limit on the age (s) of the orders that a node accepts.
 
     The age of an order follows from its stamp and the node's clock. Without a stamp, or in
     simulated time, which may stand still, the order may have waited as long as the node did not run
     (stopped or overloaded). A timer on the node's executor measures this time.
-
-    Args:
-        max_age_s: largest age, s.
     """
 
     def __init__(self, node: Node, max_age_s: float) -> None:
@@ -110,10 +104,9 @@ class Freshness:
         return max(now - self._turned, late)
 
     def waited_s(self, sent_ns: int) -> float:
-        """Return how long a request has waited, s.
+        """Return how long (s) a request has waited that was sent at ``sent_ns``, sender's clock.
 
-        ``sent_ns``: time of sending by the sender's clock, ns. If it is 0 or in the future, the
-        longest possible wait is returned.
+        If that is 0 (not known) or in the future, the longest possible wait is returned.
         """
         late_s = 1e-9 * (time.time_ns() - sent_ns)
         return late_s if sent_ns and late_s >= 0.0 else max(self.away_s, _UNTOLD_S)
@@ -154,14 +147,10 @@ DRIVER_SILENT_S = 3.0
 
 
 class Intake:
-    """Receives `joint_trajectory` and `withdrawn`, and passes trajectories to the driver.
+    """Receives `joint_trajectory` and `withdrawn`, and passes trajectories to the driver ``site``.
 
     It also receives `servo_driver/state`: all drivers in a namespace get the same trajectories, so
     none of them may follow one while there is another.
-
-    Args:
-        site: the driver.
-        unstamped: accept also trajectories without a stamp.
     """
 
     def __init__(self, node: Node, site: Driver, fresh: Freshness, *, unstamped: bool) -> None:
@@ -279,10 +268,7 @@ class FollowServer:
         return end
 
     def _find_violation(self, limits: Any, where: str) -> str:
-        """Say which joint is farther from its set-point than ``limits`` allow; empty if none.
-
-        ``where``: part of the motion, in words.
-        """
+        """Say which joint is farther from its set-point than ``limits`` allow; empty if none."""
         wanted, readings = self._site.set_points, self._site.readings
         for limit in limits:
             if limit.name in wanted and limit.name in readings:
@@ -313,9 +299,7 @@ class FollowServer:
 def describe_halt(event: int | None, why: str) -> str:
     """Say whether the arm was stopped, from the `Motion` event that ended a stop order.
 
-    Args:
-        event: None if there was none.
-        why: reason of an event other than REACHED, or of there being none.
+    ``why``: the reason of an event other than REACHED, or of there being none (None).
     """
     if event == Motion.REACHED:
         return "the arm was stopped"

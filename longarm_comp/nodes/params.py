@@ -42,18 +42,18 @@ class Param:
     live: bool = False
 
     def descriptor(self) -> ParameterDescriptor:
-        described = ParameterDescriptor(
-            name=self.name, description=self.description, read_only=not self.live
-        )
+        limits: dict[str, Any] = {}
         if self.is_bounded and isinstance(self.default, float):
             real = FloatingPointRange(from_value=float(self.lower), to_value=float(self.upper))
-            described.floating_point_range = [real]
+            limits["floating_point_range"] = [real]
         elif self.is_bounded and isinstance(self.default, int):
             whole = IntegerRange(from_value=int(self.lower), to_value=int(self.upper), step=1)
-            described.integer_range = [whole]
+            limits["integer_range"] = [whole]
         elif self.is_bounded:
-            described.additional_constraints = self.allowed_values
-        return described
+            limits["additional_constraints"] = self.allowed_values
+        return ParameterDescriptor(
+            name=self.name, description=self.description, read_only=not self.live, **limits
+        )
 
     @property
     def is_bounded(self) -> bool:
@@ -74,12 +74,7 @@ class Param:
         return self.description + (f" ({self.allowed_values})" if self.is_bounded else "") + live
 
     def check(self, value: Any) -> Any:
-        """Return a value converted to the parameter's type.
-
-        Raises:
-            ValueError: the value is not allowed.
-            TypeError: the value is no list, or no number, where one is needed.
-        """
+        """Return a value in the parameter's type; ValueError or TypeError if it is not allowed."""
         if isinstance(self.default, float) and type(value) is int:
             value = float(value)
         if isinstance(self.default, list):
@@ -98,11 +93,9 @@ class Param:
 
 
 def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) -> dict[str, Any]:
-    """Declare and check a node's parameters; return their values by name.
+    """Declare and check all parameters of a node; return their values by name.
 
-    Args:
-        table: all parameters of the node.
-        sections: prefixes of given parameters that are checked elsewhere.
+    ``sections``: prefixes of given parameters that are checked elsewhere.
 
     Raises:
         InputError: a given parameter is unknown, or its value is not allowed.
@@ -123,14 +116,15 @@ def declare(node: Node, table: Sequence[Param], sections: Sequence[str] = ()) ->
 
     def check_set(asked: Sequence[Parameter]) -> SetParametersResult:
         """Refuse values that a parameter does not allow, while the node runs."""
-        for given in asked:  # others are of ROS, or of a section that is checked elsewhere
-            if given.name in known:
-                param = known[given.name]
-                try:
-                    param.check(given.value)
-                except (TypeError, ValueError):
-                    why = f"{given.name}: {given.value!r}; allowed: {param.allowed_values}"
-                    return SetParametersResult(successful=False, reason=why)
+        for given in asked:
+            param = known.get(given.name)
+            if param is None:  # of ROS, or of a section that is checked elsewhere
+                continue
+            try:
+                param.check(given.value)
+            except (TypeError, ValueError):
+                why = f"{given.name}: {given.value!r}; allowed: {param.allowed_values}"
+                return SetParametersResult(successful=False, reason=why)
         return SetParametersResult(successful=True)
 
     node.add_on_set_parameters_callback(check_set)
@@ -147,8 +141,7 @@ def _declare_again(node: Node, name: str, value: Any, descriptor: ParameterDescr
 def declare_sections(node: Node, sections: Mapping[str, type[BaseModel]]) -> dict[str, Any]:
     """Declare the given parameters whose first prefix is a section, with description and range.
 
-    Returns:
-        The values as nested dictionaries, not yet checked by the section's model.
+    Return the values as nested dictionaries, not yet checked by the section's model.
     """
     tree: dict[str, Any] = {}
     for name, value in given_parameters(node).items():

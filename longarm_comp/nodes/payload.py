@@ -34,11 +34,7 @@ PARAMS = (
 
 
 class Weigher:
-    """Weighs the payload after the driver has reported the end of a move.
-
-    While the arm rests there, it is weighed again before the estimate is too old. All of this
-    counts as one rest.
-    """
+    """Weighs the payload at the end of a move, and again while this rest lasts."""
 
     def __init__(self, state: ArmState) -> None:
         self._arm, self._state, p = state.arm, state, state.p
@@ -70,9 +66,8 @@ class Weigher:
             context = self._circumstances(now)
         if context is not None:
             self._due = now + self._again_s
-            self._state.worker.submit(
-                partial(self._weigh_rest, q, context, self._state.effort, now)
-            )
+            effort = self._state.effort
+            self._state.worker.submit(partial(self._weigh_rest, q, context, effort, now))
         if self._tells and now - self._last_s >= 1.0:  # as often as a payload is published
             self._last_s = now
             self._tell_payload(now)
@@ -160,10 +155,7 @@ class Weigher:
 
 
 def drives(servos: str, arm: Arm) -> Drives:
-    """Return how the servos measure loads, from servo_driver.yaml; NaN for joints without data.
-
-    ``servos``: path of the file; empty: NaN for all joints.
-    """
+    """Return how the servos of a file measure loads; NaN for joints without data, or no file."""
     config = ServoConfig.load(servos).joints if servos else {}
     friction, step = np.full((2, arm.n), np.nan)
     for k, name in enumerate(arm.joint_names):

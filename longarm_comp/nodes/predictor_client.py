@@ -69,10 +69,7 @@ class PredictorClient:
         self.file_hash = ""
 
     def on_served(self, message: String, sent: float) -> None:
-        """Process a message about the served file: read the file if it is another than before.
-
-        ``sent``: when the message was sent (monotonic s).
-        """
+        """Process a message about the served file: read the file if it is another than before."""
         if message.data != self._told:
             self._told, self._read = message.data, ServedPredictor.find(message.data, self._arm)
         self._told_s = sent
@@ -92,9 +89,6 @@ class PredictorClient:
     ) -> tuple[Found, str, str]:
         """Compensate with the predictor, or without if none answers or the method needs none.
 
-        Args:
-            compensate: computes the compensation; gets the predictor, or None.
-
         Returns:
             The compensation; the `file_hash` of the predictor used, or ""; and the reason why no
             predictor was used though the method needs one, or "".
@@ -113,8 +107,7 @@ class PredictorClient:
     def ask(self, q: np.ndarray, context: Context, *, deflection: bool = True) -> Expansion:
         """Return the expected error at joints (n,), rad and m, and its expansion around them.
 
-        Args:
-            deflection: whether the physics to which the error is added includes link deflection.
+        ``deflection``: whether the physics to which the error is added includes link deflection.
 
         Raises:
             NoAnswer: no predictor runs, it has no file, it does not answer in time, or it was
@@ -128,17 +121,17 @@ class PredictorClient:
                 _check_physics(served.beside_deflection, deflection)
                 self._tell(found.error)
             return found
+        if not self._look_for_answer():
+            raise NoAnswer("no error_predictor is running")
+        if self._silent:  # only the first target waits for the timeout
+            self.probe()
+            raise NoAnswer("error_predictor does not answer, physics only until it answers")
         request = PredictError.Request(
             joints=joints_message(self._arm, q),
             approach=np.array(context.approach, np.int8),
             temperature_c=known[0],
             payload_kg=known[1],
         )
-        if not self._look_for_answer():
-            raise NoAnswer("no error_predictor is running")
-        if self._silent:  # only the first target waits for the timeout
-            self.probe()
-            raise NoAnswer("error_predictor does not answer, physics only until it answers")
         answer = self._caller.answer(self._caller.send(request), self._timeout_s)
         self._note_state(answers=answer is not None, silent=answer is None)
         if answer is None:
@@ -187,10 +180,7 @@ class PredictorClient:
 
 
 def _check_physics(beside_deflection: bool, deflection: bool) -> None:
-    """Raise `NoAnswer` if the predictor was trained with other physics.
-
-    Both arguments tell whether the physics includes link deflection: in training, and now.
-    """
+    """Raise `NoAnswer` if the physics had link deflection in training, but not now; or reverse."""
     if beside_deflection != deflection:
         fits = Method.BOTH if beside_deflection else Method.NETWORK
         raise NoAnswer(f"its predictor was trained for method {fits.value!r}")

@@ -58,7 +58,10 @@ class ReachServer:
 
     async def _serve_goal(self, goal: Any) -> Reach.Result:
         turn = object()
-        target = self._targets.new_target(goal.request.target, goal.request.position_only)
+        asked = goal.request
+        target = self._targets.new_target(
+            asked.target, asked.position_only, wanted=lambda: not goal.is_cancel_requested
+        )
         fresh = not self._targets.stale(target)
         self._turns.append(turn)
         try:
@@ -87,7 +90,7 @@ class ReachServer:
         result = _make_unseen(answer.message, int(answer.status))
         result.id = answer.name
         if not answer.status.success or answer.outcome is None:
-            goal.abort()
+            (goal.canceled if goal.is_cancel_requested else goal.abort)()
             return result
         command = answer.outcome.command
         result.command = joints_message(self._arm, command, answer.stamp)
@@ -105,10 +108,7 @@ class ReachServer:
     async def _follow_move(
         self, goal: Any, name: str, command: np.ndarray, result: Reach.Result
     ) -> bool:
-        """Wait until the driver reports the end of the move; tell whether the target was reached.
-
-        If not, the goal is ended as cancelled or aborted.
-        """
+        """Wait for the end of the move; return whether it was reached, else end the goal."""
         halted = False
         while (motion := self._told.get(name)) is None and not self._no_driver:
             if goal.is_cancel_requested and not halted:
@@ -134,10 +134,7 @@ class ReachServer:
     async def _look_for_tip(
         self, goal: Any, command: np.ndarray, before: Sighted | None, result: Reach.Result
     ) -> None:
-        """Wait until the tip is seen at rest, and enter tip and miss in the result.
-
-        Without a publisher of `tip_measured` there is no wait.
-        """
+        """Wait for the tip at rest, if somebody measures it; enter tip and miss in the result."""
         node = self._state.node
         seen_by = node.count_publishers(node.resolve_topic_name(graph.TIP_MEASURED.name))
         if seen_by and self._monitor.unplaced:

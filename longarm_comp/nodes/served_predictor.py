@@ -31,8 +31,6 @@ class ServedPredictor:
     def read(cls, path: str, arm: Arm, model_hash: str | None = None) -> ServedPredictor:
         """Read a predictor file; read it again if it changes meanwhile.
 
-        ``model_hash``: SHA-256 of the model with which it must have been trained.
-
         Raises:
             InputError: the file cannot be read, or belongs to another arm or model.
         """

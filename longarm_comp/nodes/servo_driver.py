@@ -10,7 +10,7 @@ force, the driver switches no torque on and accepts no trajectory, in any state.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import wraps
 from typing import Any
 
@@ -66,15 +66,7 @@ SECTIONS: dict[str, type[BaseModel]] = {
 }
 """Parameters below these names are the servo configuration (`devices/servo_config.py`)."""
 
-
-_BREAKS = (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD)
-"""Events that break off a motion: the joints are not where they were sent."""
-
-_FAILED = TransitionCallbackReturn.FAILURE
-
-
 Transition = Callable[[Any, LifecycleState], TransitionCallbackReturn]
-Change = Callable[[ChangeState.Request, ChangeState.Response], Any]
 
 
 def reporting_faults(transition: Transition) -> Transition:
@@ -95,32 +87,16 @@ def reporting_faults(transition: Transition) -> Transition:
     return tell
 
 
-def _refuse_missing(change: Change) -> Change:
-    """Wrap the service of transitions so that one not possible in the present state is refused.
-
-    rclpy raises an exception there and sends no response, so the client would wait for ever.
-    """
-
-    @wraps(change)
-    def answer(request: ChangeState.Request, response: ChangeState.Response) -> Any:
-        try:
-            return change(request, response)
-        except RuntimeError:  # its RCLError
-            response.success = False
-            return response
-
-    return answer
-
-
 class _ServoDriver(ArmNode, LifecycleNode):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "servo_driver", PARAMS, tuple(SECTIONS))
         changes = self._service_change_state
-        changes.callback = _refuse_missing(changes.callback)
+        self._make_change, changes.callback = changes.callback, self._serve_change
         p, given = self.p, declare_sections(self, SECTIONS)
         self._config = ServoConfig.parse(given, "parameters of servo_driver")
         self._config.check_rate(p["rate_hz"], "parameters of servo_driver")
-        self._rules = (*self._rules_of(p), p["trim"])
+        self.names = list(self._config.joints)
+        self._rules = self._make_rules()
         self._autostart, self._period_s = p["autostart"], 1.0 / p["rate_hz"]
         self.arm: ServoArm | None = None
         self.active = self._ended = False
@@ -162,23 +138,34 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.exit_code = JobError.exit_code
         return super().close()
 
-    def _rules_of(self, p: Mapping[str, Any]) -> tuple[KeepsOut | None, Shapes | None]:
-        """Check the servos against arm.yaml; return the checks of moves and their shaping.
+    def _make_rules(self) -> tuple[KeepsOut | None, Shapes | None, bool]:
+        """Check the servos against arm.yaml; return what a `TrajectoryFollower` gets besides.
 
-        The first value refuses moves into keep-out boxes; the second splits moves against ringing.
-        Either is None if the parameters do not ask for it.
+        That is: what refuses moves into keep-out boxes, what splits moves against ringing (None if
+        the parameters do not ask for it), and whether moves are trimmed.
         """
-        file, names = p["arm"], list(self._config.joints)
+        file, shaped, trim = self.p["arm"], self.p["shaping"], self.p["trim"]
         if not file:
-            if p["shaping"]:
+            if shaped:
                 raise InputError(where(self), "shaping", True, "false, or arm: the arm's file")
-            return None, None
-        files = ModelFiles(file, p["model"])
-        arm = files.arm
-        for contradiction in find_contradictions(self._config, arm, where(self), file):
+            return None, None, trim
+        files = ModelFiles(file, self.p["model"])
+        for contradiction in find_contradictions(self._config, files.arm, where(self), file):
             raise contradiction
-        keeps_out = keeper(declared_model(arm), names, file)
-        return keeps_out, shaping(files.loaded.model, names, file) if p["shaping"] else None
+        keeps_out = keeper(declared_model(files.arm), self.names, file)
+        shapes = shaping(files.loaded.model, self.names, file) if shaped else None
+        return keeps_out, shapes, trim
+
+    def _serve_change(self, request: ChangeState.Request, response: ChangeState.Response) -> Any:
+        """Make a transition; refuse one that is not possible in the present state.
+
+        rclpy raises an exception there and sends no response, so the client would wait for ever.
+        """
+        try:
+            return self._make_change(request, response)
+        except RuntimeError:  # its RCLError
+            response.success = False
+            return response
 
     def _start_up(self) -> None:
         if self._autostart and self.arm is None:
@@ -205,9 +192,10 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Switch torque on unless a stop is in force; the arm holds its present position."""
+        assert self.arm is not None
         try:
             if not self._stops.standing:
-                self._known_arm.power(True)
+                self.arm.power(True)
         except LongarmError as error:
             return self._note_failure(error)
         self.fault, self.active, self._autostart = "", True, False
@@ -217,8 +205,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         self.active = self._autostart = False
         self._tell_motion(Motion.BROKEN_OFF, self._motion, "torque off")
+        assert self.arm is not None
         try:
-            self._known_arm.power(False)
+            self.arm.power(False)
         except LongarmError as error:
             self._note_failure(error)  # torque off is sent as soon as the bus is back
         return super().on_deactivate(state)
@@ -237,24 +226,21 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._release_arm()
         return super().on_shutdown(state)
 
-    @property
-    def _known_arm(self) -> ServoArm:
-        assert self.arm is not None
-        return self.arm
-
     def _note_failure(self, error: LongarmError) -> TransitionCallbackReturn:
         starting = self._autostart and time.monotonic() < self._patient_until
         if starting and isinstance(error, (BusUnplugged, IncompleteReply)):
             if not self._waiting:
                 self.get_logger().info(f"waiting for the servos on {self._config.bus.port}")
             self._waiting = str(error)
-            return _FAILED
+            return TransitionCallbackReturn.FAILURE
         if str(error) != self.fault:
             self.get_logger().error(str(error))
         self.fault = str(error)
-        return _FAILED
+        return TransitionCallbackReturn.FAILURE
 
     def _release_arm(self) -> None:
+        if self.following:
+            self._tell_motion(Motion.BROKEN_OFF, self._motion, "torque off")
         self.active = False
         arm, self.arm, self._last = self.arm, None, None
         if arm is not None:
@@ -275,7 +261,8 @@ class _ServoDriver(ArmNode, LifecycleNode):
             arm.follower.break_off(EventKind.SHORT, f"the driver was away for {away:.1f} s")
         cycle = self._last = arm.cycle(now)
         if cycle.joints:
-            self._joint_states.publish(self._joints_message())
+            stamp = self.get_clock().now().to_msg()
+            self._joint_states.publish(readings_message(self.readings, stamp))
         else:
             self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
@@ -287,21 +274,14 @@ class _ServoDriver(ArmNode, LifecycleNode):
             assert event.finding is not None
             self._trouble = event.message
             self._stops.keep_fault(event.finding)
-        if event.kind is EventKind.ARRIVED:
+        elif event.kind is EventKind.ARRIVED:
             self._tell_motion(Motion.REACHED, self._motion)
         if event.kind in (EventKind.FAULT, EventKind.ESTOP):
             self.get_logger().error(why)
-        if event.kind in _BREAKS:
+        if event.kind in (EventKind.FAULT, EventKind.ESTOP, EventKind.SHORT, EventKind.HELD):
             self._tell_motion(Motion.BROKEN_OFF, self._motion, why)
         else:
             self.get_logger().debug(why)
-
-    def _joints_message(self) -> JointState:
-        return readings_message(self.readings, self.get_clock().now().to_msg())
-
-    @property
-    def names(self) -> Sequence[str]:
-        return list(self._config.joints)
 
     @property
     def readings(self) -> Mapping[str, ServoReading]:
@@ -321,21 +301,16 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def take(self, message: JointTrajectory, name: str) -> None:
         """Check a trajectory and follow it; its events are published under its id ``name``."""
-        if self._stops.standing:
-            self.refuse(name, self._stops.standing)
-            return
-        if not self.active:
-            self.refuse(name, "the driver is not active")
-            return
-        if why := self._intake.doubt(message):
+        why = self._stops.standing or ("" if self.active else "the driver is not active")
+        if why := why or self._intake.doubt(message):
             self.refuse(name, why)
             return
-        if not self._known_arm.follower.is_fresh(
-            time.monotonic()
-        ):  # just begun, or a reply was lost
-            self._drive_arm(self._known_arm)
+        arm = self.arm
+        assert arm is not None
+        if not arm.follower.is_fresh(time.monotonic()):  # just begun, or a reply was lost
+            self._drive_arm(arm)
         try:
-            accepted = self._known_arm.accept(trajectory_of(message), time.monotonic())
+            accepted = arm.accept(trajectory_of(message), time.monotonic())
         except LongarmError as error:
             self.refuse(name, str(error))
             return
@@ -353,7 +328,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
     def _tell_motion(
         self, event: int, name: str, why: str = "", taken: Accepted | None = None
     ) -> None:
-        joints = self._joints_message()
+        joints = readings_message(self.readings, self.get_clock().now().to_msg())
         message = Motion(header=joints.header, id=name, event=event, message=why, joints=joints)
         if taken is not None:
             message.start = JointState(name=self.names, position=taken.start.tolist())

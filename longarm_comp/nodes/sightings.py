@@ -61,11 +61,9 @@ class TipSightings:
     def take(
         self, message: PoseWithCovarianceStamped
     ) -> tuple[PoseWithCovarianceStamped, PoseWithCovarianceStamped | None]:
-        """Publish a sighting on `tip_seen`.
+        """Publish a sighting on `tip_seen`, in the base frame; unchanged if its place is unknown.
 
-        Returns:
-            The sighting as published: in the base frame, or unchanged if the pose of its own frame
-            is unknown. Then the sighting in the frame of the model, or None if this is unknown.
+        Return it as published, and in the frame of the model; None if its place is unknown.
         """
         frame, base = message.header.frame_id.lstrip("/"), self._state.base_frame
         if frame not in (self._seen_in, self._measured, *self._own):

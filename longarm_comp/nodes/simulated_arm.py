@@ -83,11 +83,7 @@ def sizes(text: str) -> dict[str, float]:
 
 
 def numbers(field: str, text: str, count: int, allowed: str) -> dict[str, list[float]]:
-    """Read ``count`` numbers for each name from ``name=number,number name=...``.
-
-    Raises:
-        InputError: a name has more or fewer; ``field`` and ``allowed`` are for the message.
-    """
+    """Read ``count`` numbers for each name from ``name=number,number name=...``."""
     by_name = {}
     for part in text.split():
         name, _, said = part.partition("=")
@@ -109,10 +105,7 @@ def _check_names(field: str, text: str, known: Iterable[str]) -> list[str]:
 
 
 class _SimulatedArm(ArmNode):
-    """The node. It renders images on a worker thread.
-
-    A pair of images is skipped while an earlier one waits to be rendered.
-    """
+    """The node. Its worker renders images; a pair is skipped while an earlier one waits."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "simulated_arm", PARAMS)
@@ -190,9 +183,8 @@ class _SimulatedArm(ArmNode):
 
     def _unplug_servos(self, text: str) -> None:
         ids = {joint.name: joint.servo_id for joint in self._plant.config.servos.joints}
-        self._plant.emulator.faults.silent = {
-            ids[name] for name in _check_names("unplugged", text, ids)
-        }
+        names = _check_names("unplugged", text, ids)
+        self._plant.emulator.faults.silent = {ids[name] for name in names}
 
     def _cover_cameras(self, text: str) -> None:
         self._covered = _check_names("covered", text, SIDES)
@@ -216,10 +208,7 @@ class _SimulatedArm(ArmNode):
             self._late += 1
 
     def _publish_frame(self) -> None:
-        """Publish true tip and camera calibrations; also both images if they have a subscriber.
-
-        All have the same time stamp. Runs on the worker's thread.
-        """
+        """Publish true tip, camera calibrations and images (if anybody looks), of one time."""
         ns = self.get_clock().now().nanoseconds
         t_s = self._t_s
         looked_at = any(image.get_subscription_count() for image in self._images)

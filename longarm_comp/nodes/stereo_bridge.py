@@ -40,7 +40,6 @@ _TRANSPORTS = {
 MARKER_LOST = "marker lost: "
 """The beginning of the report of the part `stereo` while no tip is measured."""
 
-
 PARAMS = (
     Param("base_frame", "base", "frame in which the tip is reported"),
     Param("rectified", False, "images are rectified (only P of camera_info is used)"),
@@ -71,16 +70,12 @@ PARAMS = (
     PERIOD,
 )
 
-
 _ENOUGH = 10
 """Number of sightings from which the mean of the marker's seen size is judged."""
 
 
 class _StereoBridge(ArmNode):
-    """The node. It measures pairs of images on a worker thread.
-
-    Two pairs may wait for a measurement; a further one is dropped.
-    """
+    """The node. Its worker measures pairs of images; two may wait, a further one is dropped."""
 
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__(executor, "stereo_bridge", PARAMS)
@@ -144,11 +139,7 @@ class _StereoBridge(ArmNode):
             self._refuse_pair(error, None)
 
     def _use_calibration(self, cameras: Mapping[Side, Calibration]) -> None:
-        """Use this calibration from now on, and publish the cameras' frames.
-
-        Raises:
-            StereoRefusal, InputError: the calibration cannot be used.
-        """
+        """Use this calibration from now on, and publish the cameras' frames."""
         rig = StereoRig.from_camera_info(
             cameras[Side.LEFT], cameras[Side.RIGHT], rectified=self._rectified
         )

@@ -27,7 +27,6 @@ from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
 
-
 _PASSING = {ServoTrouble.STALLED, ServoTrouble.NOT_FOLLOWING, ServoTrouble.LET_GO}
 """Troubles that a driver that begins anew cannot see, so that their faults are kept for it."""
 
@@ -56,7 +55,6 @@ class Stops:
     While a stop is in force, the driver switches no torque on and accepts no trajectory.
 
     Args:
-        site: the driver.
         folder: folder that keeps stops, an absolute path; empty: the user's.
         arm: path of arm.yaml; empty if not known.
         fresh: the limit on the age of requests that end a stop.
@@ -85,11 +83,7 @@ class Stops:
         Together(node, (graph.ESTOP, graph.HOLD, graph.RESET), self.serve)
 
     def serve(self, waiting: Sequence[Asked]) -> None:
-        """Answer all waiting requests, those to stop first.
-
-        A request to go on is then refused if it was sent before a stop: its sender did not know of
-        the stop.
-        """
+        """Answer all waiting requests, those to stop first: `_end` refuses what was sent before."""
         with ExitStack() as answers:  # runs all, last in first out, even if one raises
             for asked in sorted(waiting, key=_is_end, reverse=True):
                 answers.callback(self._answer, asked)
@@ -104,12 +98,34 @@ class Stops:
         asked.reply(response)
 
     def _stop(self, asked: Asked) -> str:
+        """Stop the arm and save the stop; return what was done, or the state if a part was not."""
+        arm = self._site.arm
         try:
-            return self._stop_now() if asked.service is graph.ESTOP else self._hold_now()
+            if asked.service is graph.ESTOP:
+                stop, done = Stop.ESTOP, "torque off, commands refused"
+                if not self.estop:
+                    self._was_on = arm is not None and arm.powered
+                self._latch.ask(stop)
+                self.let_go()
+            else:
+                stop, done = Stop.HOLD, "held: torque on, trajectories refused"
+                if arm is not None and stop not in self._latch.standing:
+                    arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
+                self._latch.ask(stop)
+            self._latch.keep()
+            torque = self._torque_yet(stop)
+            said = self.state[1] if torque or self.unkept else done
+            if torque and stop is Stop.ESTOP:
+                raise JobError(said)
+            return said
         finally:
             self._stopped = sleepless_s()
 
     def _end(self, asked: Asked) -> str:
+        """End the stops that the request names; return the driver's state.
+
+        Refused if it was sent before a stop (its sender did not know of the stop), or too long ago.
+        """
         waited_s = self._fresh.waited_s(asked.sent_ns)
         if sleepless_s() - waited_s <= self._stopped:
             raise JobError("a stop came after this was asked: ask again")
@@ -132,10 +148,7 @@ class Stops:
 
     @property
     def unkept(self) -> bool:
-        """True if a stop could not be saved, so that it ends with this process.
-
-        `StopLatch.trouble` has the reason.
-        """
+        """True if a stop could not be saved, so that it ends with this process."""
         return bool(self._latch.trouble)
 
     @property
@@ -190,32 +203,8 @@ class Stops:
                 free_servos(self._servos)
                 self._owed = False
 
-    def _stop_now(self) -> str:
-        if not self.estop:
-            self._was_on = self._site.arm is not None and self._site.arm.powered
-        self._latch.ask(Stop.ESTOP)
-        self.let_go()
-        said = self._write_down(Stop.ESTOP, "torque off, commands refused")
-        if self._torque_yet(Stop.ESTOP):
-            raise JobError(said)
-        return said
-
-    def _hold_now(self) -> str:
-        if self._site.arm is not None and Stop.HOLD not in self._latch.standing:
-            self._site.arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
-        self._latch.ask(Stop.HOLD)
-        return self._write_down(Stop.HOLD, "held: torque on, trajectories refused")
-
-    def _write_down(self, stop: Stop, done: str) -> str:
-        """Save a stop; return ``done``, or the driver's state if some part of it is not done."""
-        self._latch.keep()
-        return self.state[1] if self._torque_yet(stop) or self.unkept else done
-
     def _torque_yet(self, stop: Stop) -> str:
-        """Say how the torque differs from what a stop requires; empty if it does not.
-
-        An emergency stop requires torque off; a hold requires it on.
-        """
+        """Say how the torque differs from what a stop requires (a hold: on); empty if it is so."""
         if stop is Stop.ESTOP:
             return self.owed
         arm = self._site.arm

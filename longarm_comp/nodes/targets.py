@@ -9,12 +9,12 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from rclpy.task import Future
-from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
@@ -80,20 +80,15 @@ class TargetInlet:
             worker.serve(graph.compensate_by(method.value), answer)
 
     def new_target(
-        self,
-        pose: PoseStamped,
-        position_only: bool,
-        execute: bool = True,
-        seed: JointState | None = None,
-        sent_s: float | None = None,
+        self, pose: PoseStamped, position_only: bool, sent_s: float | None = None, **others: Any
     ) -> TargetRequest:
-        """Make the request of a target, with an id.
+        """Make the request of a target, with an id, and with ``others`` of its attributes.
 
         ``sent_s``: when it was sent (monotonic s). If not known, the longest possible wait counts.
         """
         since = time.monotonic() - self._fresh.away_s if sent_s is None else sent_s
         name = f"{self._run}-{next(self._numbers)}"
-        return TargetRequest(name, pose, position_only, execute, since, seed or JointState())
+        return TargetRequest(name, pose, position_only, since, **others)
 
     def stale(self, target: TargetRequest) -> str:
         """Say why a target is too old (or its stamp in the future); empty if it is not.
@@ -116,17 +111,14 @@ class TargetInlet:
         self._latest = message, sent
 
     def serve_topic(self) -> bool:
-        """Answer the latest target of the topic, else one superseded target.
-
-        Return whether there was a target to answer.
-        """
+        """Answer the topic's latest target, else a superseded one; return whether there was one."""
         latest = self._latest is not None
         if not latest and not self._superseded:
             return False
         pose, sent = self._latest or self._superseded.popleft()
         self._latest = None
         free = self._node.get_parameter("position_only").value
-        target = self.new_target(pose, free, sent_s=sent)
+        target = self.new_target(pose, free, sent)
         if latest:
             self._serve_target(target)
         else:
@@ -137,10 +129,8 @@ class TargetInlet:
     def _on_compensate(
         self, message: Compensate.Request, reply: Reply, sent: float, method: str = ""
     ) -> None:
-        target = self.new_target(
-            message.target, message.position_only, message.execute, message.seed, sent
-        )
-        target = replace(target, method=method)
+        asked = {"execute": message.execute, "seed": message.seed, "method": method}
+        target = self.new_target(message.target, message.position_only, sent, **asked)
 
         def respond(answer: Answer) -> None:
             reply(response_of(answer, self._arm, self._base_frame))
@@ -152,19 +142,13 @@ class TargetInlet:
             respond(refused)
 
     def execute(self, target: TargetRequest) -> Future | None:
-        """Queue a target to compute and send; return the future of its `Answer`.
-
-        None if too many targets wait.
-        """
+        """Queue a target; return the future of its `Answer`, or None if too many targets wait."""
         return self._worker.ask(partial(self._serve_target, target))
 
     def _serve_target(
         self, target: TargetRequest, respond: Callable[[Answer], None] = lambda answer: None
     ) -> Answer:
-        """Compute a target, send its joints if it is executed, respond, then publish the answer.
-
-        Runs on the worker's thread.
-        """
+        """Compute a target, send its joints if it is executed, respond, then publish the answer."""
         answer: Answer | None = None
         try:
             if why := self.stale(target):
@@ -176,6 +160,9 @@ class TargetInlet:
                 stamp = self._stamps.next()  # before the age check: from here the driver counts
                 if why := self.stale(target):
                     answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
+                elif not target.wanted():
+                    why = "cancelled before anything was sent"
+                    answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 elif why := self._state.doubt:  # it arose while the joints were computed
                     answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 else:

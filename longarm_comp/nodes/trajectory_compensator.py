@@ -89,6 +89,8 @@ PARAMS = (
 
 _TRIES = 3
 """How often a path is computed before its goal is refused, because the arm moved meanwhile."""
+_GONE_TICKS = 20
+"""Ticks (0.05 s each) without the controller after which it is gone."""
 
 
 class _TrajectoryCompensator(ArmNode):
@@ -119,12 +121,7 @@ class _TrajectoryCompensator(ArmNode):
         self._worker.start()
 
     def _limits_of(self, p: Mapping[str, Any]) -> PathLimits:
-        """Return the limits from the parameters.
-
-        Raises:
-            InputError: a wrong number of limits, or a missing limit of a joint, which any other
-                controller than `servo_driver` needs.
-        """
+        """Return the limits: one or all; other controllers than `servo_driver` need every one."""
         found = []
         for name in ("max_velocity", "max_acceleration"):
             given = p[name] * self._arm.n if len(p[name]) == 1 else p[name]
@@ -166,10 +163,7 @@ class _TrajectoryCompensator(ArmNode):
         return self._fresh.too_old(asked.header.stamp) or why
 
     async def _compute_path(self, request: Any) -> tuple[CompensatedPath | None, str]:
-        """Compute the path to send from where the arm stands; again if it moved meanwhile.
-
-        Return it and "", or None and the reason why nothing may be sent now.
-        """
+        """Compute the path from where the arm stands, or say why not; again if it moved."""
         moved = ""
         for _ in range(_TRIES):
             stood = self._state.joints
@@ -205,11 +199,7 @@ class _TrajectoryCompensator(ArmNode):
             return graph.FOLLOW.type.Result(error_string="the arm stands there: nothing was sent")
         out = copy(goal.request)  # its other fields are left to the controller
         out.trajectory = trajectory_message(
-            self._arm,
-            path,
-            made.timed.times[1:],
-            self._stamps.next(),
-            made.timed.velocities[1:],
+            self._arm, path, made.timed.times[1:], self._stamps.next(), made.timed.velocities[1:]
         )
         sent = await self._out.send_goal_async(
             out, lambda said: goal.publish_feedback(said.feedback)
@@ -220,11 +210,18 @@ class _TrajectoryCompensator(ArmNode):
             return abort_goal(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
             self._driver.note_motion(path, made.timed.joints[0])
-        ended, asked = sent.get_result_async(), False
+        ended, asked, missed = sent.get_result_async(), False, 0
         while not ended.done():
-            if goal.is_cancel_requested and not asked:
+            missed = 0 if self._out.server_is_ready() else missed + 1
+            gone = missed > _GONE_TICKS
+            if (goal.is_cancel_requested or gone) and not asked:
                 asked = True
                 sent.cancel_goal_async()
+            if gone:
+                why = f"{self._controller} is gone, and did not say what became of the path"
+                self._driver.forget_history()
+                self.tally.count("not followed", why)
+                return abort_goal(goal, graph.FOLLOW.type.Result.PATH_TOLERANCE_VIOLATED, why)
             await self._ticks.next()
         answer = ended.result()
         if answer.status == GoalStatus.STATUS_SUCCEEDED:
@@ -242,10 +239,7 @@ class _TrajectoryCompensator(ArmNode):
     def _compensate_request(
         self, request: Any, stood: np.ndarray
     ) -> tuple[CompensatedPath | None, str]:
-        """Compute a path. Return it and "", or None and the reason why there is none.
-
-        ``stood``: (n,) the joints' readings, rad and m.
-        """
+        """Compute a path from joints ``stood`` (n,), rad and m; or say why there is none."""
         rests = self._driver.rests_at
         start = stood if rests is None else rests
         loaded = self._files.loaded
@@ -273,10 +267,7 @@ class _TrajectoryCompensator(ArmNode):
         return found, ""
 
     def _longest_share(self, request: Any) -> float:
-        """Return the share of its duration by which a path may take longer.
-
-        It is the parameter `max_longer`, but no more than the goal's time tolerance allows.
-        """
+        """Return by what share of its duration a path may take longer, parameter and goal allow."""
         late = seconds(request.goal_time_tolerance)
         lasts = seconds(request.trajectory.points[-1].time_from_start)
         most = self._limits.max_longer
@@ -307,10 +298,7 @@ class _TrajectoryCompensator(ArmNode):
         return PlannedPath.of_joints(self._arm, np.array(times), joints, speeds if fast else None)
 
     def _tell_planned(self) -> None:
-        """Publish the joints at which the declared arm's tip is where the real tip is expected.
-
-        This also compiles the programs that the next path needs.
-        """
+        """Publish the joints at which the declared arm's tip is where the real tip is expected."""
         rests, loaded = self._driver.rests_at, self._files.loaded
         q = self._state.joints if rests is None else rests
         model = physics_of(loaded.model, self._method)
@@ -319,7 +307,7 @@ class _TrajectoryCompensator(ArmNode):
         stamp = self.get_clock().now().to_msg()
         with contextlib.suppress(StaleContext):
             context = self._state.context(model=model)
-            ik.warm_up(model, context)
+            ik.warm_up(model, context)  # compiles the programs that the next path needs
             free = self.p["position_only"]
             real = loaded.stands.carry_from_model(model.pose(q, context))
             planned = as_planned(self._files.rigid, real, q, free)

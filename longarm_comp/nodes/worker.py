@@ -72,14 +72,11 @@ def check_rclpy(implementation: Any = rclpy_implementation) -> None:
 
 
 class SequenceWatch:
-    """Counts lost messages by gaps in the sequence numbers that publishers give their messages.
+    """Counts ``lost`` messages by gaps in the sequence numbers that publishers give them.
 
     A message has a number, but does not name its publisher. So each number is assigned to the
     publisher with the nearest lower last number. A gap counts as a loss only if the queue was full;
     otherwise it may come from a publisher that was received for the first time.
-
-    Attributes:
-        lost: number of lost messages.
     """
 
     def __init__(self) -> None:
@@ -87,11 +84,9 @@ class SequenceWatch:
         self.lost = 0
 
     def count(self, numbers: list[int], *, full: bool) -> None:
-        """Add the numbers of messages that were taken from the queue together.
+        """Add the numbers of messages that were taken from the queue together, the oldest first.
 
-        Args:
-            numbers: sequence numbers, from 1 on for each publisher; the oldest message first.
-            full: whether the queue may have been full.
+        ``full``: whether the queue may have been full.
         """
         for number in numbers:
             before = max((last for last in self._last if last < number), default=None)
@@ -113,11 +108,7 @@ class _NotOfTheExecutor(CallbackGroup):
 
 
 def _take_requests(service: Service, most: int) -> Iterator[tuple[Any, Reply, int]]:
-    """Take up to ``most`` waiting requests from a service.
-
-    Yields:
-        The request, the function that replies to it, and its time of sending, ns (0: not known).
-    """
+    """Yield up to ``most`` waiting requests of a service, as the last three fields of `Asked`."""
     for _ in range(most):
         with service.handle:
             request, header = service.handle.service_take_request(service.srv_type.Request)
@@ -140,10 +131,7 @@ class Together(Waitable):
     """Offers services whose waiting requests are handled together, in the executor's thread.
 
     The executor alone would take one request of each service in turn, in the order in which the
-    services were made, not in the order of sending.
-
-    Args:
-        serve: gets all waiting requests, and must reply to each.
+    services were made. ``serve`` gets all waiting requests, and must reply to each.
     """
 
     def __init__(
@@ -208,11 +196,7 @@ class Worker:
         self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Reply, float], None]) -> None:
-        """Offer a service.
-
-        The callback gets the request, the function that replies, and the time of sending
-        (monotonic s).
-        """
+        """Offer a service; the callback gets request, reply function, time of sending (s)."""
         self._services.append(service.server(self._node, callback, self._group))
 
     def caller(self, service: ServiceName) -> ServiceCaller:
@@ -235,11 +219,7 @@ class Worker:
         return len(self._jobs)
 
     def start(self, idle: Callable[[], bool] = lambda: False) -> None:
-        """Start the thread.
-
-        Args:
-            idle: called while no job waits. It may do less urgent work; it returns whether it did.
-        """
+        """Start the thread. ``idle`` is called while no job waits; it returns whether it worked."""
         with self._node.context.handle:
             self._wait_set = rclpy_implementation.WaitSet(
                 len(self._topics), 1, 0, 0, len(self._services), 0, self._node.context.handle
@@ -275,10 +255,9 @@ class Worker:
         return future if self.submit(answer) else None
 
     def wait_until(self, until: Callable[[], bool], within_s: float) -> bool:
-        """Wait inside a job until a condition holds, and meanwhile process messages and requests.
+        """Process messages inside a job until a condition holds; return whether it does in time.
 
-        Return whether it holds after at most ``within_s``, s. Time in which this process was
-        stopped does not count, so that messages of that time are still processed.
+        Time (s) in which this process was stopped does not count: its messages are processed.
         """
         left = within_s
         while not self._closing:
@@ -369,9 +348,9 @@ class ServiceCaller:
             return int(handle.send_request(request))
 
     def answer(self, number: int, within_s: float) -> Any:
-        """Wait for the response to the request ``number``, a result of `send`.
+        """Wait for the response to the request ``number`` of `send`; None if it is late.
 
-        None if it does not come within ``within_s``, s. Responses to earlier requests are dropped.
+        Responses to earlier requests are dropped.
         """
         handle = self._client.handle
         end = time.monotonic() + within_s

@@ -139,11 +139,7 @@ class Panel:
     def show(
         self, state: PageState, now: float, lines: Mapping[str, Sequence[str]], *, well: bool
     ) -> None:
-        """Show the lines that `words.list_lines` returned.
-
-        Args:
-            well: whether the last press of a button went well.
-        """
+        """Show the lines of `words.list_lines`; ``well``: the last press of a button went well."""
         colours = {"state": _BAD if state.unread_s(now) else "", "said": "" if well else _BAD}
         # A line of a node's health is a sign, a blank, its name and how it is
         nodes = [line for line in lines["health"] if line[2:].partition(": ")[0] in state.nodes]

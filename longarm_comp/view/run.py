@@ -128,7 +128,7 @@ def view(
 
     Args:
         port: port of the page on the loopback address; if it is taken, the next free one; 0: any.
-        open_link: called with a function that makes links to the page; each link works once.
+        open_link: gets a function that makes links to the page; each link works once.
     """
     with GraphClient(namespace, stop, "view") as client, ExitStack() as open_page:
         listener, commands = Listener(client), Buttons(client.node)

@@ -29,13 +29,8 @@ class Scene:
         server.on_client_connect(self._aim_camera)
 
     def show(self, state: PageState, now: float, factor: tuple[float, float]) -> None:
-        """Draw a state; in pale colours if it is out of date.
-
-        Args:
-            factor: by how much deflection and error arrows are drawn larger.
-        """
-        times, longer = factor
-        picture = state.picture
+        """Draw a state, pale if it is out of date, with deflection and errors ``factor`` larger."""
+        (times, longer), picture = factor, state.picture
         if picture is None:
             return
         with self._server.atomic():

@@ -29,8 +29,6 @@ Serve = Callable[[ServerConnection, Request], "Response | None"]
 LOOPBACK = "127.0.0.1"
 _NAMES = (LOOPBACK, "localhost")
 _START = "/start"
-
-
 PATH = "/plain"
 START = f"""<!doctype html><title>longarm view</title>
 <noscript><a href="{PATH}">state and buttons as plain text</a></noscript>
@@ -43,10 +41,9 @@ a{display:inline-block;padding:.8em 1.2em;margin:.3em .3em .3em 0;color:#fff;bor
 
 
 class PlainPage:
-    """The page at `PATH`. The addresses of its buttons hold a random key that no other page knows.
+    """The page at `PATH`, which shows ``lines`` and loads itself anew once a second.
 
-    Attributes:
-        lines: the lines of the state; the page loads itself anew once a second.
+    The addresses of its buttons hold a random key that no other page knows.
     """
 
     def __init__(self, buttons: Sequence[Button], press: Callable[[Button], None]) -> None:
@@ -79,10 +76,7 @@ class PlainPage:
 
 @dataclass(frozen=True)
 class Gate:
-    """The gate of the server, which refuses everyone without the token.
-
-    The token is the cookie's value. Every start of the server makes a new one.
-    """
+    """The gate of the server: it refuses everyone whose cookie is not the token of this start."""
 
     token: str = field(default_factory=secrets.token_urlsafe, repr=False)
     plain: Callable[[str], str | None] = lambda path: None  # `PlainPage.answer`
@@ -108,8 +102,12 @@ class Gate:
             if where.path == "/" and self._redeem_code(*parse_qs(where.query).get("code", [])):
                 cookie = f"{name}={self.token}; Path=/; HttpOnly; SameSite=Strict"
                 return _make_redirect(_START, {"Set-Cookie": cookie})
-            given, own = _read_cookies(request.headers, name), self.token.encode()
-            if len(given) != 1 or not secrets.compare_digest(given[0].encode(), own):
+            cookies = ";".join(request.headers.get_all("Cookie")).split(
+                ";"
+            )  # also of other servers
+            pairs = [cookie.strip().partition("=") for cookie in cookies]
+            given = [value.encode() for key, _, value in pairs if key == name]
+            if len(given) != 1 or not secrets.compare_digest(given[0], self.token.encode()):
                 why = "open the link that `longarm view` printed; it opens the page once"
                 return connection.respond(HTTPStatus.FORBIDDEN, f"longarm view: {why}\n")
             page = START if where.path == _START else self.plain(where.path)
@@ -153,12 +151,6 @@ def _make_redirect(to: str, headers: dict[str, str]) -> Response:
     private = {"Referrer-Policy": "no-referrer", "Cache-Control": "no-store"}
     made = Headers(headers | private | {"Location": to, "Content-Length": "0"})
     return Response(HTTPStatus.SEE_OTHER, "See Other", made)
-
-
-def _read_cookies(headers: Headers, name: str) -> list[str]:
-    """Return all values of a cookie. Other servers of this machine may have set cookies too."""
-    given = [part.strip() for line in headers.get_all("Cookie") for part in line.split(";")]
-    return [value for key, _, value in (part.partition("=") for part in given) if key == name]
 
 
 def _policy_headers(hosts: list[str]) -> dict[str, str]:

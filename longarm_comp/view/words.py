@@ -69,36 +69,22 @@ class CollectProgress:
 
 @dataclass(frozen=True, eq=False)
 class PageState:
-    """Everything that the page shows.
+    """Everything that the page shows. Times are monotonic, s."""
 
-    Attributes:
-        heard: when any message came last; None before the first.
-        tip: (3,) m, as the cameras saw it last; NaN if the marker was lost.
-        tip_at: when `tip` came.
-        joints: last reading by name, rad and m.
-        read: when the joints were read last; None before the first.
-        moved: when a joint moved last by more than `JOINT_REST`.
-        driver: state of the driver in a word, and its reason; empty before the first.
-        evidence: evidence of drift; at 1 or more a warning is given; NaN if nothing judges it.
-        told: further messages, by their heading: what was learned at work, the ring after the last
-            move.
-        seed: the joints at `moved`, with which later readings are compared.
-    """
-
-    heard: float | None = None
+    heard: float | None = None  # when any message came last
     picture: Picture | None = None
-    tip: np.ndarray | None = None
-    tip_at: float = -math.inf
-    joints: Mapping[str, float] = field(default_factory=dict)
-    read: float | None = None
-    moved: float = -math.inf
-    driver: tuple[str, str] = ("", "")
+    tip: np.ndarray | None = None  # (3,) m, as the cameras saw it last; NaN: marker lost
+    tip_at: float = -math.inf  # when `tip` came
+    joints: Mapping[str, float] = field(default_factory=dict)  # last reading by name, rad and m
+    read: float | None = None  # when the joints were read last
+    moved: float = -math.inf  # when a joint moved last by more than `JOINT_REST`
+    driver: tuple[str, str] = ("", "")  # its state in a word, and the reason
     answer: LastAnswer | None = None
     nodes: Mapping[str, NodeHealth] = field(default_factory=dict)
     progress: CollectProgress | None = None
-    evidence: float = math.nan
-    told: Mapping[str, str] = field(default_factory=dict)
-    seed: Mapping[str, float] = field(default_factory=dict)
+    evidence: float = math.nan  # of drift; at 1 or more a warning is given; NaN: not judged
+    told: Mapping[str, str] = field(default_factory=dict)  # further messages, by their heading
+    seed: Mapping[str, float] = field(default_factory=dict)  # the joints at `moved`
 
     def with_joints(self, joints: Mapping[str, float], now: float) -> PageState:
         if _same_joints(joints, self.seed):
@@ -113,10 +99,7 @@ class PageState:
         )
 
     def silent_s(self, now: float) -> float:
-        """Return for how long (s) the graph has been silent.
-
-        It is 0 while messages come, and infinite if none ever came.
-        """
+        """Return for how long (s) the graph has been silent; infinite if it always was."""
         return _find_silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
@@ -202,33 +185,33 @@ def say_headline(state: PageState, now: float, namespace: str) -> str:
 
 
 def list_lines(state: PageState, now: float, namespace: str, said: str) -> dict[str, list[str]]:
-    """Return all lines of the page, by place on the page.
-
-    Args:
-        said: the result of the last press of a button.
-    """
+    """Return all lines of the page, by place; ``said``: the result of the last press."""
+    target, drift, job = "No target since this page was opened.", "Drift: nothing judged yet.", ""
+    if (answer := state.answer) is not None:
+        why = f": {answer.message}" if answer.message else ""
+        sent = "" if answer.sent else ", nothing sent"
+        target = f"Last target: {answer.status}{sent}{why}."
+    if not math.isnan(state.evidence):
+        warns = "warns" if state.evidence >= 1.0 else "does not warn"
+        drift = f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
+    if (progress := state.progress) is not None:
+        age_s = now - progress.at
+        heard = f"; heard {_format_ago(age_s)} ago" if age_s > 5.0 else ""
+        job = f"collect: {progress.message}{heard}"
     lines = {
-        "state": [say_headline(state, now, namespace), describe_target(state)],
+        "state": [say_headline(state, now, namespace), target],
         "said": [said],
-        "job": [describe_progress(state, now)],
+        "job": [job],
         "tip": [
             f"tip − target: {format_mm(state.miss_at_target(now))}",
             f"tip − predicted: {format_mm(state.miss_of_prediction(now))}",
-            describe_drift(state),
+            drift,
             *(f"{what}: {told}." for what, told in state.told.items()),
         ],
         "health": [line for _, n in sorted(state.nodes.items()) for line in describe_health(n, now)]
         or ["no node has reported yet"],
     }
     return {place: [line for line in found if line] for place, found in lines.items()}
-
-
-def describe_target(state: PageState) -> str:
-    if state.answer is None:
-        return "No target since this page was opened."
-    why = f": {state.answer.message}" if state.answer.message else ""
-    sent = "" if state.answer.sent else ", nothing sent"
-    return f"Last target: {state.answer.status}{sent}{why}."
 
 
 def format_mm(vector: np.ndarray | str) -> str:
@@ -255,28 +238,8 @@ def describe_scale(deflection: float, error: float) -> str:
     return f"{drawn} Everything else is to scale."
 
 
-def describe_drift(state: PageState) -> str:
-    """Say how near the test of drift is to a warning."""
-    if math.isnan(state.evidence):
-        return "Drift: nothing judged yet."
-    warns = "warns" if state.evidence >= 1.0 else "does not warn"
-    return f"Drift: evidence {state.evidence:.2f} of 1; the test {warns}."
-
-
-def describe_progress(state: PageState, now: float) -> str:
-    """Say how far a collection is; empty if no collection reported."""
-    job = state.progress
-    if job is None:
-        return ""
-    heard = f"; heard {_format_ago(now - job.at)} ago" if now - job.at > 5.0 else ""
-    return f"collect: {job.message}{heard}"
-
-
 def describe_health(node: NodeHealth, now: float) -> list[str]:
-    """Return a line on a node, and one on each of its parts that is not well.
-
-    Each line begins with the sign of its level.
-    """
+    """Return a line on a node and one on each ill part, each with the sign of its level."""
     if silent := node.silent_s(now):
         return [f"{SILENT} {node.name}: silent for {_format_ago(silent)}"]
     sign, word = LEVELS[max(part.level for part in node.parts)]

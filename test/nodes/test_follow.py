@@ -14,6 +14,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from action_msgs.msg import GoalStatus
 from builtin_interfaces.msg import Duration
 from driver_rig import Rig
+from lifecycle_msgs.msg import Transition
 from nodes_bench import bench
 from own_graph import own_graph
 from std_srvs.srv import SetBool
@@ -187,3 +188,15 @@ def test_a_goal_that_is_not_reached_says_why(rig: Rig) -> None:
     assert rig.call(graph.ESTOP, SetBool.Request(data=True)).success
     assert "emergency stop" in slow.ends(aborted, codes.PATH_TOLERANCE_VIOLATED)
     assert rig.call(graph.ESTOP, SetBool.Request(data=False)).success
+
+
+@needs_follow
+def test_a_goal_ends_when_the_driver_is_shut_down(rig: Rig) -> None:
+    rig.is_idle()
+    rig.goes(shoulder=0.0)
+    slow = Followed(rig, 20.0, shoulder=0.9)
+    rig.stage.spin(lambda: slow.feedback)
+    assert rig.change(Transition.TRANSITION_ACTIVE_SHUTDOWN)
+    code = graph.FOLLOW.type.Result.PATH_TOLERANCE_VIOLATED
+    assert slow.ends(GoalStatus.STATUS_ABORTED, code) == "torque off"
+    rig.ends()

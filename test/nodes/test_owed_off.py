@@ -62,7 +62,8 @@ def test_an_emergency_stop_without_an_arm_is_sent_until_it_is_confirmed(
     driver.arm.leave()
     driver.arm = None
     deaf(driver)
-    assert UNCONFIRMED in driver.ask(graph.ESTOP, True).message and driver.on == {True}
+    answer = driver.ask(graph.ESTOP, True)
+    assert not answer.success and UNCONFIRMED in answer.message and driver.on == {True}
     driver.emulator.loses = None
     driver.stage.spin(lambda: driver.on == {False})
     driver.stage.spin(lambda: not driver.stops.owed)

@@ -136,6 +136,10 @@ def test_a_plan_goes_compensated_to_any_controller_or_is_refused_before_anything
     stage.spin(lambda: len(controller.got) == 4)
     goal.cancel_goal_async()
     assert "halted" in planner.ends(goal, GoalStatus.STATUS_CANCELED).error_string
+    goal = planner.send(names, plan[::-1])
+    stage.spin(lambda: len(controller.got) == 5)
+    controller.server.destroy()
+    assert f"{THEIRS} is gone" in planner.ends(goal, aborted).error_string
 
 
 def test_an_arm_that_droops_does_not_dip_where_a_path_begins(stage: Bench, arm: Arm) -> None:

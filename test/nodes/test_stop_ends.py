@@ -193,6 +193,14 @@ def test_every_request_is_answered_whatever_another_raises(driver: StoppedArm) -
     assert held and driver.stops.estop and "held" in driver.stops.standing
 
 
+@pytest.mark.parametrize(("stop", "file"), [(graph.ESTOP, "*.estop"), (graph.HOLD, "*.hold")])
+def test_a_stop_is_kept_before_it_is_answered(
+    driver: StoppedArm, tmp_path: Path, stop: graph.Service, file: str
+) -> None:
+    assert serve(driver, stop, True, 0).success
+    assert list((tmp_path / "stops").glob(file))
+
+
 def test_ends_are_sent_once_and_stops_until_they_are_answered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

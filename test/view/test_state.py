@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -92,7 +93,8 @@ def test_the_miss_is_of_the_target_that_the_joints_were_sent_to() -> None:
         assert isinstance(other.miss_at_target(20.0), str)
         assert not isinstance(other.miss_of_prediction(20.0), str)
     assert elsewhere.miss_at_target(20.0) == "the arm is not at the last target"
-    assert words.describe_target(unsent) == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
+    _, target = words.list_lines(unsent, 20.0, "/", "")["state"]
+    assert target == "Last target: UNREACHABLE, nothing sent: 3 mm missing."
 
 
 def test_silence_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -122,13 +124,19 @@ def test_a_node_is_as_well_as_its_worst_part_and_silent_by_its_own_pace() -> Non
     assert words.describe_health(NodeHealth("n", (Part("p", 3, "?"),), 1.0), 1.0)[0] == "■ n: stale"
 
 
-def test_exaggeration_drift_and_progress_in_words() -> None:
+def test_exaggeration_in_words() -> None:
     assert "10 times larger than it is, error arrows to scale" in words.describe_scale(10.0, 1.0)
     assert "drawn to scale, error arrows 50 times longer" in words.describe_scale(1.0, 50.0)
-    assert words.describe_drift(PageState()) == "Drift: nothing judged yet."
-    assert words.describe_drift(PageState(evidence=0.5)).endswith("does not warn.")
-    assert words.describe_drift(PageState(evidence=1.0)).endswith("warns.")
-    job = PageState(progress=CollectProgress(0.3, "7 of 24 poses driven", 10.0))
-    assert words.describe_progress(job, 12.0) == "collect: 7 of 24 poses driven"
-    assert words.describe_progress(job, 22.0) == "collect: 7 of 24 poses driven; heard 12 s ago"
-    assert words.list_lines(PageState(), 5.0, "/", "")["job"] == []
+
+
+def test_drift_and_progress_in_words() -> None:
+    def lines(place: str, now: float = 5.0, **changes: Any) -> list[str]:
+        return words.list_lines(PageState(**changes), now, "/", "")[place]
+
+    assert lines("tip")[-1] == "Drift: nothing judged yet."
+    assert lines("tip", evidence=0.5)[-1].endswith("does not warn.")
+    assert lines("tip", evidence=1.0)[-1].endswith("the test warns.")
+    job = CollectProgress(0.3, "7 of 24 poses driven", 10.0)
+    assert lines("job", 12.0, progress=job) == ["collect: 7 of 24 poses driven"]
+    assert lines("job", 22.0, progress=job) == ["collect: 7 of 24 poses driven; heard 12 s ago"]
+    assert lines("job") == []
