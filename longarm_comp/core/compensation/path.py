@@ -160,9 +160,10 @@ def compensate_path(
             raise PathRefused(Status.BAD_TARGET, row, fault)
     plan = replace(plan, begun=plan.begun and start is not None)
     if plan.joints is not None:
-        plan = replace(plan, joints=unwrap(model.arm, plan.joints, start if plan.begun else None))
+        joints = unwrap(model.arm, plan.joints, start if plan.begun else None)
+        plan = replace(plan, joints=joints)
         if plan.begun:
-            off = np.abs(np.asarray(start) - plan.joints[0])  # the way from there was not planned
+            off = np.abs(np.asarray(start) - joints[0])  # the way from there was not planned
             worst = int(off.argmax())
             if off[worst] > limits.max_start:
                 why = f"{model.arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan"

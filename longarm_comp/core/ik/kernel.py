@@ -184,11 +184,8 @@ class Kernel:
         `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
         `evaluate` is the model itself at the trial joints.
         """
-        if self._code is None:
-            self._code = self._compile()
-        return self._code
-
-    def _compile(self) -> Any:
+        if self._code is not None:
+            return self._code
         from longarm_comp.core.ik.codegen import llvm
 
         width = llvm.count_lanes()
@@ -209,7 +206,9 @@ class Kernel:
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
-        return llvm.compile_module(llvm.write_module(programs, flows, self.place, width), width)
+        text = llvm.write_module(programs, flows, self.place, width)
+        self._code = llvm.compile_module(text, width)
+        return self._code
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
