@@ -75,9 +75,11 @@ class Branch:
 
         Each comes with the log of its weight times the likelihood of the sighting.
         """
-        before = self.known.at_new_place(row.place, row.structure) if row.is_new else self.known
+        before = self.known
+        if row.is_new:
+            before = before.with_anew(before.common + 3 * row.place, row.structure)
         for which in row.anew:
-            before = before.with_anew(which)
+            before = before.with_anew(which, np.eye(1))
         known, weight = before.update(row), math.log(self.weight)
         wrong = known.surprise > SURPRISE
         age = 0 if wrong else self.age + 1

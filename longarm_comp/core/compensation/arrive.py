@@ -124,12 +124,7 @@ def _choose_sides(
     context: Context,
     length: np.ndarray,
 ) -> np.ndarray:
-    """Choose sides (n,) of -1 or +1 for the joints whose side matters; 0 for the others.
-
-    Args:
-        joints: the joints whose side matters, 0-based.
-        length: (n,) length of a run-up where there is room for it, rad or m.
-    """
+    """Choose sides (n,) of -1 or +1 for the joints whose side matters; 0 for the others."""
     wanted, sure = np.zeros((2, model.arm.n))
     if joints:
         posture = model.posture_without_sag(tuple(q), context)

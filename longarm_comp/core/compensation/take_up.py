@@ -91,10 +91,8 @@ class PathLag:
         reversing at once.
 
         Args:
-            stands: (k, n) positions of the joints, rad and m.
-            lag: (k, n) by how much their commands are ahead, rad and m.
-            history: of the joints at ``start``.
-            start: (n,) joints before the path; None: not known.
+            stands, lag: (k, n) positions of the joints, and by how much their commands are ahead.
+            history, start: of the joints before the path, and where they stood (None: not known).
         """
         steady, half = stands.copy(), 0.5 * self.tolerance
         low, high = stands - half, stands + half
@@ -119,13 +117,7 @@ class PathLag:
     def find_reversals(
         self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray
     ) -> list[Reversal]:
-        """Find the reversals: where a joint's side changes.
-
-        Args:
-            stands: (k, n) positions of the joints, rad and m.
-            lag: (k, n) by how much their commands are ahead, rad and m.
-            sides: (k, n) of -1, 0, +1, by `find_history`.
-        """
+        """Find the reversals: where one of the sides (k, n) that `find_history` found changes."""
         found = []
         for joint in self.joints:
             before = 0  # the reversal before this one
@@ -241,10 +233,7 @@ def _delay_at_reversals(
     """Compute by how much each step from way-point to way-point takes longer, (k - 1,) s.
 
     Args:
-        times: (k,) s, the planned times.
         speed2: (k - 1,) squared speed of the joints in each step, in `unit` per second.
-        unit: (n,) scale of each joint.
-        reversals: the reversals of the path.
         jerk2: mean squared jerk that is allowed, as j^2 in the formulas above.
     """
     later = np.zeros(len(times) - 1)

@@ -334,10 +334,7 @@ def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:
 def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:
     """Return sessions in which the poses are measured, for distances one per anchor.
 
-    Their measured values are placeholders.
-
-    Args:
-        read: names of the joint readings that are taken too.
+    Their measured values are placeholders. Joint readings of the names in `read` are taken too.
     """
     n = len(plan)
     joints = {f"read_q{k + 1}": plan.q[:, k : k + 1] for k in range(plan.q.shape[1])}
