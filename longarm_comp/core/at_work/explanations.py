@@ -243,9 +243,9 @@ class Explanations:
 
     @cached_property
     def places(self) -> dict[str, float]:
-        """The probability that something has changed, by place."""
+        """The probability that something has changed, by place, in the order of the changes."""
         made: dict[str, float] = {}
         for b in self.branches:
-            for place in {c.where for c in b.changes}:
+            for place in dict.fromkeys(c.where for c in b.changes):
                 made[place] = made.get(place, 0.0) + b.weight
         return made
