@@ -79,26 +79,20 @@ def compensate(
         One result per target. Invalid or unreachable targets, and circumstances that an effect of
         the model needs and the context lacks, are reported in its `status`, not raised.
     """
-    settings, to = CompensationOptions(**options), np.asarray(targets, dtype=float)
+    to = np.asarray(targets, dtype=float)
     if to.shape in ((3,), (4, 4)):
         to = to[None]
-    batch = _Batch(
+    found = SolvedTargets(
         model=model,
-        predictor=predictor if settings.method.uses_predictor else None,
+        predictor=predictor,
         target=to,
         q=ik.checked_seed(model, seed, len(to), "compensate"),
         context=context or Context(),
         position_only=position_only or to.ndim == 2,
         context_at=context_at,
-        options=settings,
+        options=CompensationOptions(**options),
     )
-    batch.solve_ideal()
-    batch.correct()
-    batch.refuse_too_large()
-    lattice = lattice_of(model, settings.realisable)
-    if lattice is not None and not settings.single_pass:
-        batch.choose_steps(lattice)
-    return batch.make_results(doubtful)
+    return found.judge_each(doubtful)
 
 
 def judge(
@@ -156,14 +150,16 @@ def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
 
 
 @dataclass
-class _Batch:
+class SolvedTargets:
     """N targets that are solved side by side: ideal joints, then passes of the pseudo-target.
+
+    Other attributes are arguments of `compensate`.
 
     Attributes:
         predictor: None if the method uses none, or there is none.
         target: (N, 3) or (N, 4, 4).
-        q: (N, n) joints found last; `ideal` where a target was given up, or is compensated without
-            the learned error.
+        q: (N, n) start of the search, then the joints found; `ideal` where a target was given up,
+            or is compensated without the learned error.
         ideal: (N, n) joints by physics alone.
         error, sigma: (N, 3) m, learned error and its sigma at the joints of the last prediction.
         in_domain: (N,) whether the predictor was inside its domain.
@@ -188,8 +184,16 @@ class _Batch:
         self.in_domain, self.passes = np.zeros(count, bool), np.zeros(count, int)
         self.status, self.reason = [Status.SUCCESS] * count, [""] * count
         self.most_m = permitted_correction(self.model, self.options.max_correction_m)
+        if not self.method.uses_predictor:
+            self.predictor = None
+        self._solve_ideal()
+        self._correct()
+        self._refuse_too_large()
+        lattice = lattice_of(self.model, self.options.realisable)
+        if lattice is not None and not self.options.single_pass:
+            self._choose_steps(lattice)
 
-    def solve_ideal(self) -> None:
+    def _solve_ideal(self) -> None:
         """Find the joints by physics alone."""
         faults = ik.target_faults(self.target, self.position_only, "compensate")
         lacking = missing_column(self.physics, self.context)
@@ -204,7 +208,7 @@ class _Batch:
             self._end(k, Status.UNREACHABLE, unit or describe_miss("target", found))
         self.ideal = self.q.copy()
 
-    def correct(self) -> None:
+    def _correct(self) -> None:
         """Solve pseudo-targets until the expected error is that at the joints found."""
         options, going = self.options, self._list_successful()
         if self.predictor is None:
@@ -246,7 +250,7 @@ class _Batch:
             if options.single_pass or not going:
                 return
 
-    def refuse_too_large(self) -> None:
+    def _refuse_too_large(self) -> None:
         """Give up the targets whose whole correction is larger than permitted."""
         if not (rows := self._list_successful()):
             return
@@ -256,7 +260,7 @@ class _Batch:
             if size_m > self.most_m:
                 self._end(k, Status.CORRECTION_TOO_LARGE, describe_too_large(size_m, self.most_m))
 
-    def choose_steps(self, lattice: Lattice) -> None:
+    def _choose_steps(self, lattice: Lattice) -> None:
         """Choose the joints to send among those at which the servos can stand."""
         search = Search(characteristic_length(self.physics))
         locked = ik.locked_joints(self.physics, self.options.locked)
@@ -283,8 +287,12 @@ class _Batch:
             poses[:, :3, 3] += predictor.predict(q, here).error
         return poses
 
-    def make_results(self, doubtful: np.ndarray | None) -> list[Compensation]:
-        """Return the result of each target, with its expected error."""
+    def judge_each(self, doubtful: np.ndarray | None) -> list[Compensation]:
+        """Return the result of each target, with the error that is expected of it.
+
+        Args:
+            doubtful: as in `compensate`.
+        """
         status, reason = self.status, self.reason
         for k, realisable in self.chosen.items():
             reason[k] = "; ".join(filter(None, (reason[k], realisable.note)))

@@ -92,7 +92,10 @@ def unknown_history(
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
     recorded = {}
     for name in PER_JOINT:
-        values = np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
+        given = context.of_all(name, n)
+        values = np.empty((len(given), m))
+        for row, value in zip(values, given, strict=True):
+            row[:] = value
         recorded[name] = values.T.reshape(m, n, -1)
     spans = model.arm.upper - model.arm.lower
     open_ = []
