@@ -246,12 +246,14 @@ class _PathProblem:
                 raise PathRefused(Status.KEPT_OUT, row, entry)
         first = int(self.plan.begun)
         came = self.history.along(command, command[0] if first else self.start)
-        # Doubts: unknown circumstances at the beginning, and way-points outside the data
-        begins, rest = slice(first, first + 1), slice(first, None)
-        notes = [
-            *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
-            *outside_data(self.physics, command[rest], context.take(rest))[1],
-        ]
+        notes: list[str] = []
+        if len(command) > first:  # else the arm stands there already
+            # Doubts: unknown circumstances at the beginning, and way-points outside the data
+            begins, rest = slice(first, first + 1), slice(first, None)
+            notes = [
+                *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
+                *outside_data(self.physics, command[rest], context.take(rest))[1],
+            ]
         if turn[worst := int(np.argmax(turn))] > REACHED:
             off = f"up to {np.degrees(turn[worst]):.2g} deg, at way-point {worst}"
             notes.insert(0, f"the joints cannot hold the orientation: it is off by {off}")
