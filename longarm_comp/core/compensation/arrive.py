@@ -87,7 +87,8 @@ def compensate_move(
     wanted = np.zeros(arm.n) if sides is None else sides
     move = Move(np.zeros(0), None, wanted, np.zeros(arm.n, bool))
     arrived = history
-    if predictor is not None or by_field or sides is not None:
+    fault = ik.target_faults(to, position_only, "compensate")[0]
+    if not fault and (predictor is not None or by_field or sides is not None):
         here = context_after(history)
         first = ik.solve(
             physics,
