@@ -54,21 +54,13 @@ class _PastChange:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One explanation of the sightings: the changes so far, and the posterior that follows.
+    """One explanation of the sightings: the changes so far, and the posterior that follows."""
 
-    Attributes:
-        weight: its probability.
-        known: its posterior.
-        changes: the changes that it takes for certain, in order.
-        left_out: number of sightings that it takes for wrong.
-        age: number of sightings since the last surprising one.
-    """
-
-    weight: float
-    known: RecursivePosterior
-    changes: tuple[_PastChange, ...] = ()
-    left_out: int = 0
-    age: int = _PATIENCE
+    weight: float  # its probability
+    known: RecursivePosterior  # its posterior
+    changes: tuple[_PastChange, ...] = ()  # the changes that it takes for certain, in order
+    left_out: int = 0  # number of sightings that it takes for wrong
+    age: int = _PATIENCE  # number of sightings since the last surprising one
 
     def judge(self, row: Row) -> Iterator[tuple[float, Branch]]:
         """Yield the explanation after a sighting, and, if that surprises, also without it.

@@ -25,19 +25,12 @@ _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of the test after some samples.
+    """The result of the test after some samples."""
 
-    Attributes:
-        drifted: whether the alarm is raised.
-        finding: size and duration of the change in a sentence; empty without an alarm.
-        samples: number of samples so far.
-        evidence: largest cumulative sum divided by the threshold; 1 or more is an alarm.
-    """
-
-    drifted: bool
-    finding: str
-    samples: int
-    evidence: float
+    drifted: bool  # whether the alarm is raised
+    finding: str  # size and duration of the change in a sentence; empty without an alarm
+    samples: int  # number of samples so far
+    evidence: float  # largest cumulative sum divided by the threshold; 1 or more is an alarm
 
 
 @dataclass(frozen=True)

@@ -61,29 +61,19 @@ one history (n,) of all."""
 class CompensatedPath:
     """A path to send, and the result at each of its k way-points.
 
-    Attributes:
-        timed: joints, velocities and times to send, of `smooth`.
-        ideal: (k, n) joints without the learned error.
-        error: (k, 3) m, learned error that was corrected; zero where the predictor was not used.
-        sigma: (k, 3) m, its standard deviation; NaN where the predictor was not used.
-        context: circumstances at the way-points.
-        passes: number of passes of the pseudo-targets.
-        correction_m: (k,) m, of `measure_correction`.
-        turn_rad: (k,) rad, by how much the orientation is off because the joints cannot hold it.
-        history: of the joints at the end.
-        notes: doubts, in words.
+    Where the predictor was not used, `error` is zero and `sigma` is NaN.
     """
 
-    timed: CubicPath
-    ideal: np.ndarray
-    error: np.ndarray
-    sigma: np.ndarray
-    context: Context
-    passes: int
-    correction_m: np.ndarray
-    turn_rad: np.ndarray
-    history: History
-    notes: tuple[str, ...]
+    timed: CubicPath  # joints, velocities and times to send, of `smooth`
+    ideal: np.ndarray  # (k, n) joints without the learned error
+    error: np.ndarray  # (k, 3) m, learned error that was corrected
+    sigma: np.ndarray  # (k, 3) m, its standard deviation
+    context: Context  # circumstances at the way-points
+    passes: int  # number of passes of the pseudo-targets
+    correction_m: np.ndarray  # (k,) m, of `measure_correction`
+    turn_rad: np.ndarray  # (k,) rad, error of orientations that the joints cannot hold
+    history: History  # of the joints at the end
+    notes: tuple[str, ...]  # doubts, in words
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
         """Return one result per way-point, with the error that is expected there.

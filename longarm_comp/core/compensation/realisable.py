@@ -37,17 +37,11 @@ KNOWN_TO = 0.15
 
 @dataclass(frozen=True)
 class Lattice:
-    """The values at which servos can stand: joint j at ``offset[j] + step[j] k`` for whole k.
+    """The values at which servos can stand: joint j at ``offset[j] + step[j] k`` for whole k."""
 
-    Attributes:
-        step: (n,) rad or m; 0: the joint is continuous.
-        offset: (n,) rad or m.
-        offset_sd: (n,) rad or m, standard deviation of the offset.
-    """
-
-    step: np.ndarray
-    offset: np.ndarray
-    offset_sd: np.ndarray
+    step: np.ndarray  # (n,) rad or m; 0: the joint is continuous
+    offset: np.ndarray  # (n,) rad or m
+    offset_sd: np.ndarray  # (n,) rad or m, standard deviation of the offset
 
     @classmethod
     def of(cls, arm: Arm, offset: Any = 0.0, offset_sd: Any = 0.0) -> Lattice:
@@ -102,28 +96,19 @@ class Search:
 class Realisable:
     """The chosen joints for one target.
 
-    Attributes:
-        joints: (n,) joints to command, inside the limits.
-        ideal: (n,) joints that were given, clipped to the limits.
-        rounded: (n,) the ideal joints, each rounded to its nearest step.
-        ideal_error: (2,) predicted tip error at `ideal`: m, and rad (0 for positions).
-        rounded_error, error: the same at `rounded` and at `joints`.
-        nodes: number of nodes that the searches visited.
-        on_lattice: (n,) bool, joints that were chosen among their steps.
-        reason: why the choice is plain rounding; empty if it is not.
-        note: which joints with steps stay at their ideal value, and why; empty if none does.
+    Each error is the predicted tip error (2,): m, and rad (0 for positions).
     """
 
-    joints: np.ndarray
-    ideal: np.ndarray
-    rounded: np.ndarray
-    ideal_error: np.ndarray
-    rounded_error: np.ndarray
-    error: np.ndarray
-    nodes: int
-    on_lattice: np.ndarray
-    reason: str
-    note: str
+    joints: np.ndarray  # (n,) joints to command, inside the limits
+    ideal: np.ndarray  # (n,) joints that were given, clipped to the limits
+    rounded: np.ndarray  # (n,) the ideal joints, each rounded to its nearest step
+    ideal_error: np.ndarray  # at `ideal`
+    rounded_error: np.ndarray  # at `rounded`
+    error: np.ndarray  # at `joints`
+    nodes: int  # number of nodes that the searches visited
+    on_lattice: np.ndarray  # (n,) bool, joints that were chosen among their steps
+    reason: str  # why the choice is plain rounding; empty if it is not
+    note: str  # which joints with steps stay at their ideal value, and why
 
 
 def choose(

@@ -38,15 +38,10 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class PathLag:
-    """The lag of joints along a path of a model's arm, and where it changes.
+    """The lag of joints along a path of a model's arm, and where it changes."""
 
-    Attributes:
-        model: the physics that commands are solved with.
-        tolerance_m: how far the tip may leave its path where a joint reverses, m.
-    """
-
-    model: Model
-    tolerance_m: float
+    model: Model  # the physics that commands are solved with
+    tolerance_m: float  # how far the tip may leave its path where a joint reverses, m
 
     @cached_property
     def joints(self) -> list[int]:
@@ -133,18 +128,12 @@ class PathLag:
 
 
 class Reversal(NamedTuple):
-    """A reversal of a joint on a path, where the joint takes up its play.
+    """A reversal of a joint on a path, where the joint takes up its play."""
 
-    Attributes:
-        joint: its number, 0-based.
-        first, last: numbers (0-based) of the way-points between which the joint is near it.
-        crossed: change of the joint's lag between the two, rad or m.
-    """
-
-    joint: int
-    first: int
-    last: int
-    crossed: float
+    joint: int  # its number, 0-based
+    first: int  # number (0-based) of the first way-point near the reversal
+    last: int  # number of the last one
+    crossed: float  # change of the joint's lag between the two, rad or m
 
 
 def take_up_play(

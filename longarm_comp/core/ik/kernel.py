@@ -58,15 +58,10 @@ def rigid_jacobian(posture: Posture, tip: Vec, station: float = math.inf) -> lis
 
 @dataclass(frozen=True)
 class TwistRow:
-    """The effects' twists of all stations as one row of numbers, the ``x`` of a search's state.
+    """The effects' twists of all stations as one row of numbers, the ``x`` of a search's state."""
 
-    Attributes:
-        slot: position in the row, by (station, component 0 to 5).
-        fixed: values of the components that are not in the row, by the same keys.
-    """
-
-    slot: dict[tuple[int, int], int]
-    fixed: dict[tuple[int, int], float]
+    slot: dict[tuple[int, int], int]  # position in the row, by (station, component 0 to 5)
+    fixed: dict[tuple[int, int], float]  # values that are not in the row, by the same keys
 
     @classmethod
     def whole(cls, model: Model, context: Context) -> TwistRow:

@@ -21,14 +21,10 @@ class SplittingPoses(Plan):
     """Poses that would tell two explanations apart, some of them with a payload.
 
     It is the largest payload of the session, or the declared one if that is larger.
-
-    Attributes:
-        between: names of the two effects.
-        log_bayes_factor: expected log odds between them once these poses are measured too.
     """
 
-    between: tuple[str, str] = ("", "")
-    log_bayes_factor: float = 0.0
+    between: tuple[str, str] = ("", "")  # names of the two effects
+    log_bayes_factor: float = 0.0  # expected log odds once they are measured too
 
 
 def choose_splitting_poses(
