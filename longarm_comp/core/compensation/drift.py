@@ -37,17 +37,13 @@ class Verdict:
 class Monitor:
     """The state of the test. It never changes: `seen` returns the next state.
 
-    Attributes:
-        run_length: mean number of samples between two false alarms, at least.
-        samples: number of samples so far.
-        sums: (7,) cumulative sums, in the order of `_TESTS`.
-        onset: (7,) number of the sample at which each sum last left zero.
-        total: (7, 3) sum of the residuals since then, m.
-        squares: (7,) sum of ``|z|^2`` since then.
+    `sums` holds the cumulative sums, in the order of `_TESTS`, `onset` the number of the sample at
+    which each last left zero. Since then, `total` is the sum of the residuals, m, and `squares`
+    that of ``|z|^2``.
     """
 
-    run_length: float = 1e4
-    samples: int = 0
+    run_length: float = 1e4  # mean number of samples between two false alarms, at least
+    samples: int = 0  # number of samples so far
     sums: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS)))
     onset: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS), int))
     total: np.ndarray = field(default_factory=lambda: np.zeros((len(_TESTS), 3)))
