@@ -18,6 +18,7 @@ from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
+from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import YIELDS
 
 KNOWN_TO = 0.2
@@ -153,14 +154,19 @@ def _doubt_of_change(
         alike = all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
         if one_load or not alike:
             felt.add(effect.key)
-    kept = [e for e in model.effects if e.key not in felt]
-    whole, named, bare = (
-        dataclasses.replace(model, effects=tuple(effects)).tip(q, edge)
-        for effects in (model.effects, kept, [e for e in model.effects if e.geometry])
-    )
-    ratio = np.linalg.norm(whole - named, axis=1)
-    ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
-    moved = model.tip(q, context) - model.tip(q, edge)
+    whole = stack(model.tip_frame(here).p)
+    moved = stack(model.tip_frame(there).p) - whole
+    ratio = np.zeros(len(q))
+    if felt:
+        named, bare = (
+            dataclasses.replace(model, effects=tuple(effects)).tip(q, edge)
+            for effects in (
+                [e for e in model.effects if e.key not in felt],
+                [e for e in model.effects if e.geometry],
+            )
+        )
+        ratio = np.linalg.norm(whole - named, axis=1)
+        ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
 
     def moves(slots: Sequence[Slot], sizes: np.ndarray) -> np.ndarray:
@@ -168,8 +174,9 @@ def _doubt_of_change(
         columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
-    rest = moves(*absent_slots(model, context))
-    for absent in _list_absent_effects(model, context):
+    every = _list_absent_effects(model, context)
+    rest = moves(*_size_slots(model, every))
+    for absent in every:
         if not absent.parameters(model.arm):  # it follows from the reading alone, as tilt does
             there_with, here_with = (model.plus(absent).tip(q, c) for c in (context, edge))
             rest += (there_with - here_with - moved) ** 2
@@ -212,6 +219,10 @@ def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.n
         The parameters, and the size (k,) that each may have: one prior standard deviation, times
         `YIELDS` for an elastic effect.
     """
-    slots = slots_of(model.arm, _list_absent_effects(model, context))
+    return _size_slots(model, _list_absent_effects(model, context))
+
+
+def _size_slots(model: Model, absent: list[Effect]) -> tuple[tuple[Slot, ...], np.ndarray]:
+    slots = slots_of(model.arm, absent)
     sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
     return slots, np.array(sizes)
