@@ -175,7 +175,7 @@ def _doubt_of_change(
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
     every = _list_absent_effects(model, context)
-    rest = moves(*_size_slots(model, every))
+    rest = moves(*_size_slots(model, every)) if every else np.zeros((len(q), 3))
     for absent in every:
         if not absent.parameters(model.arm):  # it follows from the reading alone, as tilt does
             there_with, here_with = (model.plus(absent).tip(q, c) for c in (context, edge))
