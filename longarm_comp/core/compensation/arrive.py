@@ -73,16 +73,8 @@ def compensate_move(
         return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
     def solve(options: CompensationOptions) -> SolvedTargets:
-        return SolvedTargets(
-            model=model,
-            predictor=predictor,
-            target=to,
-            q=ik.checked_seed(model, seed, 1, "compensate"),
-            context=context,
-            position_only=position_only or to.ndim == 2,
-            context_at=context_at if by_field else None,
-            options=options,
-        )
+        at = context_at if by_field else None
+        return SolvedTargets(model, predictor, to, context, seed, position_only, options, at)
 
     wanted = np.zeros(arm.n) if sides is None else sides
     move = Move(np.zeros(0), None, wanted, np.zeros(arm.n, bool))

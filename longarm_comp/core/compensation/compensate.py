@@ -59,7 +59,6 @@ def compensate(
     seed: np.ndarray | None = None,
     position_only: bool = False,
     doubtful: np.ndarray | None = None,
-    context_at: Callable[[np.ndarray], Context] | None = None,
     **options: Any,
 ) -> list[Compensation]:
     """Find joints that bring the *real* tip to each of N independent targets.
@@ -71,8 +70,6 @@ def compensate(
         seed: (n,) or (N, n) current joints; default mid-range.
         position_only: leave the orientation free.
         doubtful: (n,) bool, joints whose side of arrival in the context is not certain.
-        context_at: only for a single target: returns the circumstances at joints (M, n). The choice
-            among the servos' steps judges each command in these. Default: ``context``.
         options: fields of `CompensationOptions`.
 
     Returns:
@@ -82,16 +79,8 @@ def compensate(
     to = np.asarray(targets, dtype=float)
     if to.shape in ((3,), (4, 4)):
         to = to[None]
-    found = SolvedTargets(
-        model=model,
-        predictor=predictor,
-        target=to,
-        q=ik.checked_seed(model, seed, len(to), "compensate"),
-        context=context or Context(),
-        position_only=position_only or to.ndim == 2,
-        context_at=context_at,
-        options=CompensationOptions(**options),
-    )
+    known, settings = context or Context(), CompensationOptions(**options)
+    found = SolvedTargets(model, predictor, to, known, seed, position_only, settings)
     return found.judge_each(doubtful)
 
 
@@ -158,8 +147,10 @@ class SolvedTargets:
     Attributes:
         predictor: None if the method uses none, or there is none.
         target: (N, 3) or (N, 4, 4).
-        q: (N, n) start of the search, then the joints found; `ideal` where a target was given up,
-            or is compensated without the learned error.
+        context_at: only for a single target: returns the circumstances at joints (M, n). The choice
+            among the servos' steps judges each command in these. Default: `context`.
+        q: (N, n) joints found last; `ideal` where a target was given up, or is compensated without
+            the learned error.
         ideal: (N, n) joints by physics alone.
         error, sigma: (N, 3) m, learned error and its sigma at the joints of the last prediction.
         in_domain: (N,) whether the predictor was inside its domain.
@@ -170,15 +161,17 @@ class SolvedTargets:
     model: Model
     predictor: ResidualPredictor | None
     target: np.ndarray
-    q: np.ndarray
     context: Context
+    seed: np.ndarray | None
     position_only: bool
-    context_at: Callable[[np.ndarray], Context] | None
     options: CompensationOptions
+    context_at: Callable[[np.ndarray], Context] | None = None
     chosen: dict[int, Realisable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count, self.method = len(self.target), self.options.method
+        self.q = ik.checked_seed(self.model, self.seed, count, "compensate")
+        self.position_only |= self.target.ndim == 2
         self.physics, self.ideal = physics_of(self.model, self.method), self.q
         self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
         self.in_domain, self.passes = np.zeros(count, bool), np.zeros(count, int)
