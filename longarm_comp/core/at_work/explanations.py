@@ -54,30 +54,24 @@ class _PastChange:
 
 @dataclass(frozen=True, eq=False)
 class Branch:
-    """One explanation of the sightings: the changes so far, and the posterior that follows.
+    """One explanation of the sightings: the changes so far, and the posterior that follows."""
 
-    Attributes:
-        weight: its probability.
-        known: its posterior.
-        changes: the changes that it takes for certain, in order.
-        left_out: number of sightings that it takes for wrong.
-        age: number of sightings since the last surprising one.
-    """
-
-    weight: float
-    known: RecursivePosterior
-    changes: tuple[_PastChange, ...] = ()
-    left_out: int = 0
-    age: int = _PATIENCE
+    weight: float  # its probability
+    known: RecursivePosterior  # its posterior
+    changes: tuple[_PastChange, ...] = ()  # the changes that it takes for certain, in order
+    left_out: int = 0  # number of sightings that it takes for wrong
+    age: int = _PATIENCE  # number of sightings since the last surprising one
 
     def judge(self, row: Row) -> Iterator[tuple[float, Branch]]:
         """Yield the explanation after a sighting, and, if that surprises, also without it.
 
         Each comes with the log of its weight times the likelihood of the sighting.
         """
-        before = self.known.at_new_place(row.place, row.structure) if row.is_new else self.known
+        before = self.known
+        if row.is_new:
+            before = before.with_anew(before.common + 3 * row.place, row.structure)
         for which in row.anew:
-            before = before.with_anew(which)
+            before = before.with_anew(which, np.eye(1))
         known, weight = before.update(row), math.log(self.weight)
         wrong = known.surprise > SURPRISE
         age = 0 if wrong else self.age + 1
@@ -241,9 +235,9 @@ class Explanations:
 
     @cached_property
     def places(self) -> dict[str, float]:
-        """The probability that something has changed, by place."""
+        """The probability that something has changed, by place, in the order of the changes."""
         made: dict[str, float] = {}
         for b in self.branches:
-            for place in {c.where for c in b.changes}:
+            for place in dict.fromkeys(c.where for c in b.changes):
                 made[place] = made.get(place, 0.0) + b.weight
         return made

@@ -27,7 +27,6 @@ from longarm_comp.core.compensation.sighting import (
     COMMON,
     PAYLOAD,
     SHARED,
-    SightingError,
     error_of_sighting,
     is_other_payload,
 )
@@ -153,28 +152,13 @@ class Learner:
         promised = dataclasses.replace(self.given, domain=before)
         domain = None if before is None else before.plus(q)
         error = error_of_sighting(self.model, promised, q, context, variance, learned)
-        row = self._make_row(known, q, context, tip, error, t_s)
-        taken = dataclasses.replace(self._take_in(known, row), domain=domain)
-        served = taken._serve_mean(row, q, context)
-        return dataclasses.replace(served, payload_kg=float(context.payload_kg(0.0)))
-
-    def _make_row(
-        self,
-        known: Explanations,
-        q: np.ndarray,
-        context: Context,
-        tip: np.ndarray,
-        error: SightingError,
-        t_s: float,
-    ) -> Row:
-        """Make the equation of a sighting with an error; other arguments as of `learn`."""
-        point, columns = known.space.columns(self.model, q, context)
-        at = known.space.values(self.model)
+        space, arm = known.space, self.model.arm
+        point, columns = space.columns(self.model, q, context)
+        at = space.values(self.model)
         # Error of the linear equation at the present estimate
-        bent = known.space.at(known.within_bounds).measured(q, context) - point
+        bent = space.at(known.within_bounds).measured(q, context) - point
         bent = bent - columns @ (known.within_bounds - at)
-        arm = self.model.arm
-        return Row(
+        row = Row(
             t_s,
             columns,
             value=tip - point + columns @ at,
@@ -185,6 +169,9 @@ class Learner:
             common=error.common,
             anew=(PAYLOAD,) if is_other_payload(self.payload_kg, context) else (),
         )
+        taken = dataclasses.replace(self._take_in(known, row), domain=domain)
+        served = taken._serve_mean(row, q, context)
+        return dataclasses.replace(served, payload_kg=float(context.payload_kg(0.0)))
 
     def _take_in(self, before: Explanations, row: Row) -> Learner:
         """Return the learner after one more sighting, its model unchanged."""
@@ -300,7 +287,8 @@ class Learner:
         legs[..., 0] = side * run_up_lengths(arm)
         came = History(side, legs, legs[..., 0]).fields()
         there = dataclasses.replace(_at_all(context, len(q)), **came)
-        tips = [space.at(b.known.within_bounds).tip(q, there) for b in (first, *rivals)]
+        likely = (space.most_probable(b.known.expected, *b.known.spread) for b in (first, *rivals))
+        tips = [space.at(values).tip(q, there) for values in likely]
         off = np.array(tips[1:]) - tips[0]
         precision = np.linalg.inv(self.given.noise + structure_left(self.given, arm, q))
         odds = 0.5 * np.einsum("rij,ijk,rik->ri", off, precision, off)

@@ -112,22 +112,11 @@ class RecursivePosterior:
             common=common,
         )
 
-    def at_new_place(self, place: int, structure: np.ndarray) -> RecursivePosterior:
-        """Return the posterior with the error of one pose reset to its prior.
+    def with_anew(self, first: int, prior: np.ndarray) -> RecursivePosterior:
+        """Return the posterior with the errors from `first` in `beside` on reset to a prior.
 
-        Args:
-            place: number that the pose gets: the next free one, or that of an older pose, which it
-                replaces.
-            structure: (3, 3) m^2, prior covariance of the error.
+        They may lie behind the last one: so the error of a further pose begins.
         """
-        return self._with_anew(self.common + 3 * place, structure)
-
-    def with_anew(self, which: int) -> RecursivePosterior:
-        """Return the posterior with one of the r shared errors reset to its prior."""
-        return self._with_anew(which, np.eye(1))
-
-    def _with_anew(self, first: int, prior: np.ndarray) -> RecursivePosterior:
-        """Return the posterior with the errors from `first` in `beside` on reset to a prior."""
         p, known = len(self.active), len(self.covariance)
         own = slice(p + first, p + first + len(prior))
         whole = max(known, own.stop)
@@ -273,11 +262,9 @@ class RecursivePosterior:
         return 1.0 + float(grown @ (_GROWN**2 - 1.0))
 
     def _describe_jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Describe change c at onset t.
+        """Return positions (k,) and mean jump (k,) of the parameters of change c at onset t.
 
-        Returns:
-            Positions (k,) of its parameters, their mean jump (k,), and the derivatives (q + m, k)
-            of the mean of all parameters and of `beside` by the jump.
+        The derivatives (q + m, k) of the mean of all parameters and of `beside` come third.
         """
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
@@ -317,21 +304,15 @@ class RecursivePosterior:
         likely = np.argwhere(self.probability > NEGLIGIBLE).tolist()
         return self._moments_over({(t, c): float(self.probability[t, c]) for t, c in likely})
 
-    @cached_property
-    def within_bounds(self) -> np.ndarray:
-        """The most probable parameters within their bounds, (q,)."""
-        return self.space.most_probable(self.expected, *self.spread)
-
     def _moments_over(
         self, weights: Mapping[tuple[int, int], float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute the moments of the q parameters and of `beside` over some of the changes.
 
+        They are the mean (q + m,), the positions (a,) of what is uncertain, and its covariance.
+
         Args:
             weights: probability by (onset, change); no change has 1 less their sum.
-
-        Returns:
-            The mean (q + m,), the positions (a,) of what is uncertain, and its covariance (a, a).
         """
         own, jumps = self._uncertain, {at: self._describe_jump(*at) for at in weights}
         unchanged = np.append(self.mean, self.beside)

@@ -10,7 +10,7 @@ import numpy as np
 from longarm_comp.core.arm.context import Context, stack_contexts
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import Move, plan_move, wanted_sides
-from longarm_comp.core.compensation.compensate import compensate, lattice_of, physics_of
+from longarm_comp.core.compensation.compensate import SolvedTargets, lattice_of, physics_of
 from longarm_comp.core.compensation.result import (
     Compensation,
     CompensationOptions,
@@ -72,17 +72,15 @@ def compensate_move(
         """Return the circumstances at joints (M, n), each after its own move."""
         return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
-    def solve(options: CompensationOptions) -> Compensation:
-        given = {**vars(options), "seed": seed, "position_only": position_only}
-        if by_field:
-            given["context_at"] = context_at
-        found = compensate(model, predictor, to, context=context, doubtful=move.doubtful, **given)
-        return found[0]
+    def solve(options: CompensationOptions) -> SolvedTargets:
+        at = context_at if by_field else None
+        return SolvedTargets(model, predictor, to, context, seed, position_only, options, at)
 
     wanted = np.zeros(arm.n) if sides is None else sides
     move = Move(np.zeros(0), None, wanted, np.zeros(arm.n, bool))
     arrived = history
-    if predictor is not None or by_field or sides is not None:
+    fault = ik.target_faults(to, position_only, "compensate")[0]
+    if not fault and (predictor is not None or by_field or sides is not None):
         here = context_after(history)
         first = ik.solve(
             physics,
@@ -100,20 +98,20 @@ def compensate_move(
         arrived = history.after(move.points, start)
     # Tries commands until one leaves the history it assumes; the last assumes only what is common
     for trials_left in reversed(range(5)):
-        assumed, context = arrived, context_after(arrived)
-        outcome = solve(replace(options, realisable=False))
-        seed, move = outcome.command, move_to(outcome.command)
+        assumed, context, doubtful = arrived, context_after(arrived), move.doubtful
+        found = solve(replace(options, realisable=False))
+        seed, move = found.q[0], move_to(found.q[0])
         arrived = history.after(move.points, start)
-        if not outcome.success or not by_field or arrived.agrees(assumed):
+        if not found.status[0].success or not by_field or arrived.agrees(assumed):
             break
         if trials_left == 1:
             arrived = arrived.common_with(assumed)
-    if outcome.success and lattice_of(model, options.realisable) is not None:
-        outcome = solve(options)
-        move = move_to(outcome.command)
+    if found.status[0].success and lattice_of(model, options.realisable) is not None:
+        doubtful, found = move.doubtful, solve(options)
+        move = move_to(found.q[0])
         arrived = history.after(move.points, start)
         context = context_after(arrived)
-    return Arrival(outcome, move, context, arrived)
+    return Arrival(found.judge_each(doubtful)[0], move, context, arrived)
 
 
 def _choose_sides(
@@ -124,12 +122,7 @@ def _choose_sides(
     context: Context,
     length: np.ndarray,
 ) -> np.ndarray:
-    """Choose sides (n,) of -1 or +1 for the joints whose side matters; 0 for the others.
-
-    Args:
-        joints: the joints whose side matters, 0-based.
-        length: (n,) length of a run-up where there is room for it, rad or m.
-    """
+    """Choose sides (n,) of -1 or +1 for the joints whose side matters; 0 for the others."""
     wanted, sure = np.zeros((2, model.arm.n))
     if joints:
         posture = model.posture_without_sag(tuple(q), context)

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import INCLINATION, Context, is_told
-from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
+from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import YIELDS
 
 KNOWN_TO = 0.2
@@ -141,23 +141,32 @@ def _doubt_of_change(
     half.  Effects that no row could show add their prior size.
 
     Args:
-        q: (M, n) commanded joints, rad and m.
-        context: the present circumstances.
-        edge: the same, with the changed circumstance at the edge of the session's range.
         one_load: whether the payload changed and was the same in all rows. Then the rows do not
             tell which causes without a name depend on it, so all of them count.
     """
     there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
-    felt = {e.key for e in nameless if one_load or _is_changed(e, there, here)}
-    kept = [e for e in model.effects if e.key not in felt]
-    whole, named, bare = (
-        dataclasses.replace(model, effects=tuple(effects)).tip(q, edge)
-        for effects in (model.effects, kept, [e for e in model.effects if e.geometry])
-    )
-    ratio = np.linalg.norm(whole - named, axis=1)
-    ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
-    moved = model.tip(q, context) - model.tip(q, edge)
+    felt = set()
+    for effect in nameless:
+        pairs = [(quantity.read(there), quantity.read(here)) for quantity in effect.of.quantities]
+        mine, other = effect.twists(there), effect.twists(here)
+        pairs += [pair for k in mine for pair in zip(mine[k], other[k], strict=True)]
+        alike = all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
+        if one_load or not alike:
+            felt.add(effect.key)
+    whole = stack(model.tip_frame(here).p)
+    moved = stack(model.tip_frame(there).p) - whole
+    ratio = np.zeros(len(q))
+    if felt:
+        named, bare = (
+            dataclasses.replace(model, effects=tuple(effects)).tip(q, edge)
+            for effects in (
+                [e for e in model.effects if e.key not in felt],
+                [e for e in model.effects if e.geometry],
+            )
+        )
+        ratio = np.linalg.norm(whole - named, axis=1)
+        ratio /= np.maximum(np.linalg.norm(named - bare, axis=1), 1e-12)
     share = np.hypot(KNOWN_TO, np.minimum(ratio, 1.0))
 
     def moves(slots: Sequence[Slot], sizes: np.ndarray) -> np.ndarray:
@@ -165,10 +174,11 @@ def _doubt_of_change(
         columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
-    rest = moves(*absent_slots(model, context))
-    for effect in _list_absent_effects(model, context):
-        if not effect.parameters(model.arm):  # it follows from the reading alone, as tilt does
-            there_with, here_with = (model.plus(effect).tip(q, c) for c in (context, edge))
+    every = _list_absent_effects(model, context)
+    rest = moves(*_size_slots(model, every)) if every else np.zeros((len(q), 3))
+    for absent in every:
+        if not absent.parameters(model.arm):  # it follows from the reading alone, as tilt does
+            there_with, here_with = (model.plus(absent).tip(q, c) for c in (context, edge))
             rest += (there_with - here_with - moved) ** 2
     if one_load and nameless:
         # A cause without a name at one load may stand for any elastic effect
@@ -182,14 +192,6 @@ def _list_searched_effects(model: Model) -> list[Effect]:
     """List every effect that is searched for, at each of its places in the arm."""
     kinds = (kind for kind in searched_effects() if issubclass(kind, Effect))
     return [term for kind in kinds for term in kind.for_arm(model.arm)]
-
-
-def _is_changed(effect: Discovered, there: Posture, here: Posture) -> bool:
-    """Tell whether an effect, or what its function reads, changes between two postures."""
-    pairs = [(q.read(there), q.read(here)) for q in effect.of.quantities]
-    mine, other = effect.twists(there), effect.twists(here)
-    pairs += [pair for k in mine for pair in zip(mine[k], other[k], strict=True)]
-    return not all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
 
 
 def _list_absent_effects(model: Model, context: Context) -> list[Effect]:
@@ -217,6 +219,10 @@ def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.n
         The parameters, and the size (k,) that each may have: one prior standard deviation, times
         `YIELDS` for an elastic effect.
     """
-    slots = slots_of(model.arm, _list_absent_effects(model, context))
+    return _size_slots(model, _list_absent_effects(model, context))
+
+
+def _size_slots(model: Model, absent: list[Effect]) -> tuple[tuple[Slot, ...], np.ndarray]:
+    slots = slots_of(model.arm, absent)
     sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
     return slots, np.array(sizes)

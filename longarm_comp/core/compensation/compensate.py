@@ -59,7 +59,6 @@ def compensate(
     seed: np.ndarray | None = None,
     position_only: bool = False,
     doubtful: np.ndarray | None = None,
-    context_at: Callable[[np.ndarray], Context] | None = None,
     **options: Any,
 ) -> list[Compensation]:
     """Find joints that bring the *real* tip to each of N independent targets.
@@ -71,33 +70,18 @@ def compensate(
         seed: (n,) or (N, n) current joints; default mid-range.
         position_only: leave the orientation free.
         doubtful: (n,) bool, joints whose side of arrival in the context is not certain.
-        context_at: only for a single target: returns the circumstances at joints (M, n). The choice
-            among the servos' steps judges each command in these. Default: ``context``.
         options: fields of `CompensationOptions`.
 
     Returns:
         One result per target. Invalid or unreachable targets, and circumstances that an effect of
         the model needs and the context lacks, are reported in its `status`, not raised.
     """
-    settings, to = CompensationOptions(**options), np.asarray(targets, dtype=float)
+    to = np.asarray(targets, dtype=float)
     if to.shape in ((3,), (4, 4)):
         to = to[None]
-    batch = _Batch(
-        model=model,
-        predictor=predictor if settings.method.uses_predictor else None,
-        target=to,
-        q=ik.checked_seed(model, seed, len(to), "compensate"),
-        context=context or Context(),
-        position_only=position_only or to.ndim == 2,
-        context_at=context_at,
-        options=settings,
-    )
-    batch.correct(batch.solve_ideal())
-    batch.refuse_too_large()
-    lattice = lattice_of(model, settings.realisable)
-    if lattice is not None and not settings.single_pass:
-        batch.choose_steps(lattice)
-    return batch.make_results(doubtful)
+    known, settings = context or Context(), CompensationOptions(**options)
+    found = SolvedTargets(model, predictor, to, known, seed, position_only, settings)
+    return found.judge_each(doubtful)
 
 
 def judge(
@@ -155,68 +139,74 @@ def lattice_of(model: Model, realisable: bool | Lattice) -> Lattice | None:
 
 
 @dataclass
-class _Batch:
+class SolvedTargets:
     """N targets that are solved side by side: ideal joints, then passes of the pseudo-target.
+
+    Other attributes are arguments of `compensate`.
 
     Attributes:
         predictor: None if the method uses none, or there is none.
         target: (N, 3) or (N, 4, 4).
-        q: (N, n) joints found last.
+        context_at: only for a single target: returns the circumstances at joints (M, n). The choice
+            among the servos' steps judges each command in these. Default: `context`.
+        q: (N, n) joints found last; `ideal` where a target was given up, or is compensated without
+            the learned error.
         ideal: (N, n) joints by physics alone.
         error, sigma: (N, 3) m, learned error and its sigma at the joints of the last prediction.
         in_domain: (N,) whether the predictor was inside its domain.
         passes: (N,) number of passes of the pseudo-target.
-        status, reason: outcome of each target. A target without success was given up, or is
-            compensated without the learned error.
         chosen: choice among the servos' steps, by target number.
     """
 
     model: Model
     predictor: ResidualPredictor | None
     target: np.ndarray
-    q: np.ndarray
     context: Context
+    seed: np.ndarray | None
     position_only: bool
-    context_at: Callable[[np.ndarray], Context] | None
     options: CompensationOptions
+    context_at: Callable[[np.ndarray], Context] | None = None
     chosen: dict[int, Realisable] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count, self.method = len(self.target), self.options.method
+        self.q = ik.checked_seed(self.model, self.seed, count, "compensate")
+        self.position_only |= self.target.ndim == 2
         self.physics, self.ideal = physics_of(self.model, self.method), self.q
         self.error, self.sigma = np.zeros((count, 3)), np.full((count, 3), np.nan)
         self.in_domain, self.passes = np.zeros(count, bool), np.zeros(count, int)
         self.status, self.reason = [Status.SUCCESS] * count, [""] * count
         self.most_m = permitted_correction(self.model, self.options.max_correction_m)
+        if not self.method.uses_predictor:
+            self.predictor = None
+        self._solve_ideal()
+        self._correct()
+        self._refuse_too_large()
+        lattice = lattice_of(self.model, self.options.realisable)
+        if lattice is not None and not self.options.single_pass:
+            self._choose_steps(lattice)
 
-    def solve_ideal(self) -> list[int]:
-        """Find the joints by physics alone; return the numbers of the targets that were reached."""
+    def _solve_ideal(self) -> None:
+        """Find the joints by physics alone."""
         faults = ik.target_faults(self.target, self.position_only, "compensate")
         lacking = missing_column(self.physics, self.context)
         for k, fault in enumerate(faults):
             if fault:
-                self.status[k], self.reason[k] = Status.BAD_TARGET, fault
+                self._end(k, Status.BAD_TARGET, fault)
             elif lacking:
-                self.status[k], self.reason[k] = Status.STALE_CONTEXT, lacking
-        valid = self._list_rows(Status.SUCCESS)
+                self._end(k, Status.STALE_CONTEXT, lacking)
+        valid = self._list_successful()
         for k, found in self._search(valid, self.target, self.options.starts).items():
             unit = guess_unit(ik.position_of(self.target[k]), *reach(self.physics))
-            self.status[k] = Status.UNREACHABLE
-            self.reason[k] = unit or describe_miss("target", found)
+            self._end(k, Status.UNREACHABLE, unit or describe_miss("target", found))
         self.ideal = self.q.copy()
-        return self._list_rows(Status.SUCCESS)
 
-    def correct(self, going: list[int]) -> None:
-        """Solve pseudo-targets until the expected error is that at the joints found.
-
-        Args:
-            going: numbers of the targets to correct.
-        """
-        options = self.options
+    def _correct(self) -> None:
+        """Solve pseudo-targets until the expected error is that at the joints found."""
+        options, going = self.options, self._list_successful()
         if self.predictor is None:
             for k in going if self.method.uses_predictor else ():
-                self.status[k] = Status.NO_PREDICTOR
-                self.reason[k] = "no predictor: compensated with physics only"
+                self._end(k, Status.NO_PREDICTOR, "no predictor: compensated with physics only")
             return
         for passes in range(options.max_passes + 1 if going else 0):
             here = _index_of(going)
@@ -230,15 +220,15 @@ class _Batch:
             unsettled = []
             for k, size_m, change_m, is_inside, why in each:
                 if not is_inside:
-                    self.status[k], self.reason[k] = Status.OUT_OF_DOMAIN, describe_outside(why)
+                    self._end(k, Status.OUT_OF_DOMAIN, describe_outside(why))
                 elif size_m > self.most_m:
-                    self.status[k] = Status.CORRECTION_TOO_LARGE
-                    self.reason[k] = describe_too_large(size_m, self.most_m)
+                    self._end(
+                        k, Status.CORRECTION_TOO_LARGE, describe_too_large(size_m, self.most_m)
+                    )
                 elif passes and change_m <= options.tol_m:
                     continue
                 elif passes == options.max_passes:
-                    self.status[k] = Status.NOT_CONVERGED
-                    self.reason[k] = options.describe_unsettled()
+                    self._end(k, Status.NOT_CONVERGED, options.describe_unsettled())
                 else:
                     unsettled.append(k)
             if not unsettled:
@@ -248,74 +238,62 @@ class _Batch:
             failed = self._search(unsettled, pseudo, min(options.starts, 3))
             self.passes[_index_of(unsettled)] += 1
             for k, missed in failed.items():
-                self.status[k] = Status.UNREACHABLE
-                self.reason[k] = describe_miss("pseudo-target", missed)
+                self._end(k, Status.UNREACHABLE, describe_miss("pseudo-target", missed))
             going = [k for k in unsettled if k not in failed]
             if options.single_pass or not going:
                 return
 
-    def refuse_too_large(self) -> None:
+    def _refuse_too_large(self) -> None:
         """Give up the targets whose whole correction is larger than permitted."""
-        each = (Status.SUCCESS,), _PHYSICS_ONLY
-        for status, q in zip(each, (self.q, self.ideal), strict=True):
-            if not (rows := self._list_rows(*status)):
-                continue
-            here, context = _index_of(rows), self._context_of(rows)
-            sizes = measure_correction(self.model, q[here], self.target[here], context)
-            for k, size_m in zip(rows, sizes.tolist(), strict=True):
-                if size_m > self.most_m:
-                    self.status[k] = Status.CORRECTION_TOO_LARGE
-                    self.reason[k] = describe_too_large(size_m, self.most_m)
+        if not (rows := self._list_successful()):
+            return
+        here, context = _index_of(rows), self._context_of(rows)
+        sizes = measure_correction(self.model, self.q[here], self.target[here], context)
+        for k, size_m in zip(rows, sizes.tolist(), strict=True):
+            if size_m > self.most_m:
+                self._end(k, Status.CORRECTION_TOO_LARGE, describe_too_large(size_m, self.most_m))
 
-    def choose_steps(self, lattice: Lattice) -> None:
+    def _choose_steps(self, lattice: Lattice) -> None:
         """Choose the joints to send among those at which the servos can stand."""
         search = Search(characteristic_length(self.physics))
         locked = ik.locked_joints(self.physics, self.options.locked)
-        for k in self._list_rows(Status.SUCCESS, *_PHYSICS_ONLY):
-            sent, target = self.status[k] is Status.SUCCESS, self.target[k]
+        for k in self._list_successful():
+            target = ik.position_of(self.target[k]) if self.position_only else self.target[k]
+            predictor = self.predictor if self.status[k] is Status.SUCCESS else None
+            predict = partial(self._predict_tip, self._context_of([k]), predictor)
             chosen = self.chosen[k] = choose(
-                self.model.arm,
-                lattice,
-                partial(self._predict_tip, k, learned=sent),
-                ik.position_of(target) if self.position_only else target,
-                self.q[k] if sent else self.ideal[k],
-                search,
-                locked=locked,
+                self.model.arm, lattice, predict, target, self.q[k], search, locked=locked
             )
+            self.q[k] = chosen.joints
             if self.context_at is not None:
                 self.context = self.context_at(chosen.joints[None]).take(0)
-            if sent and self.predictor is not None:  # predicted anew at the chosen joints
-                expected = self.predictor.predict(chosen.joints[None], self._context_of([k]))
+            if predictor is not None:  # predicted anew at the chosen joints
+                expected = predictor.predict(chosen.joints[None], self._context_of([k]))
                 self.error[k], self.sigma[k] = expected.error[0], expected.sigma[0]
 
-    def _predict_tip(self, k: int, q: np.ndarray, learned: bool) -> np.ndarray:
-        """Predict the tip's poses (M, 4, 4) at joints (M, n) in the circumstances of target k.
-
-        Args:
-            learned: whether to add the learned error.
-        """
-        here = self._context_of([k])
-        context = here if self.context_at is None else self.context_at(q)
-        poses = tip_poses(self.physics, q, context)
-        if learned and self.predictor is not None:
-            poses[:, :3, 3] += self.predictor.predict(q, here).error
+    def _predict_tip(
+        self, here: Context, predictor: ResidualPredictor | None, q: np.ndarray
+    ) -> np.ndarray:
+        """Predict the tip's poses (M, 4, 4) at joints (M, n) that are tried for one target."""
+        poses = tip_poses(self.physics, q, self.context_at(q) if self.context_at else here)
+        if predictor is not None:
+            poses[:, :3, 3] += predictor.predict(q, here).error
         return poses
 
-    def make_results(self, doubtful: np.ndarray | None) -> list[Compensation]:
-        """Return the result of each target, with its expected error.
+    def judge_each(self, doubtful: np.ndarray | None) -> list[Compensation]:
+        """Return the result of each target, with the error that is expected of it.
 
         Args:
             doubtful: as in `compensate`.
         """
-        count, status, reason = len(self.target), self.status, self.reason
-        sent, alone = self._list_rows(Status.SUCCESS), self._list_rows(*_PHYSICS_ONLY)
-        command, error = self.ideal.copy(), self.error.copy()
-        command[sent], error[alone] = self.q[sent], 0.0
+        status, reason = self.status, self.reason
         for k, realisable in self.chosen.items():
-            command[k] = realisable.joints
             reason[k] = "; ".join(filter(None, (reason[k], realisable.note)))
-        pseudo = pseudo_targets(self.target, error)
-        sigma, sizes = np.full((count, 3), np.nan), np.full((2, count), np.nan)
+        pseudo = pseudo_targets(self.target, self.error)
+        sigma, sizes = np.full_like(self.sigma, np.nan), np.full((2, len(self.q)), np.nan)
+        success = self._list_successful()
+        sent = [k for k in success if status[k] is Status.SUCCESS]
+        alone = [k for k in success if status[k] is not Status.SUCCESS]
         for rows, learned in ((sent, self.method.uses_predictor), (alone, False)):
             if not rows:
                 continue
@@ -323,7 +301,7 @@ class _Batch:
             miss, known, doubts = judge(
                 self.model,
                 self.method,
-                command[of],
+                self.q[of],
                 self._context_of(rows),
                 ik.position_of(pseudo)[of],
                 self.sigma[of] if learned else None,
@@ -341,11 +319,11 @@ class _Batch:
             Compensation(
                 target=self.target[k],
                 ideal=self.ideal[k],
-                predicted_error=error[k],
+                predicted_error=self.error[k],
                 sigma=sigma[k],
                 in_domain=in_domain[k],
                 pseudo_target=pseudo[k],
-                command=command[k],
+                command=self.q[k],
                 passes=passes[k],
                 status=status[k],
                 reason=reason[k],
@@ -353,33 +331,37 @@ class _Batch:
                 expected_m=expected_m[k],
                 p90_m=p90_m[k],
             )
-            for k in range(count)
+            for k in range(len(self.q))
         ]
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Find and store joints for some of N targets; return the failed searches by number.
+        """Find and store joints that bring the physics' tip to some of N targets ``to``.
 
-        Args:
-            rows: numbers of the targets.
-            to: (N, 3) or (N, 4, 4), where the physics shall bring the tip.
-            starts: largest number of starts of each search.
+        Returns:
+            The failed searches, by the target's number.
         """
-        locked, free = self.options.locked, self.position_only
-        given: dict[str, Any] = {"position_only": free, "locked": locked, "max_starts": starts}
-        if len(rows) == 1:  # quicker than many of one
-            k, here = rows[0], self._context_of(rows)
-            one = ik.solve(self.physics, to[k], seed=self.q[k], context=here, **given)
-            self.q[k] = one.q
-            return {} if one.ok else {k: one}
         if not rows:
             return {}
-        here = self._context_of(rows)
-        found = ik.solve_many(self.physics, to[rows], seed=self.q[rows], context=here, **given)
+        here, options = self._context_of(rows), self.options
+        given: dict[str, Any] = {"locked": options.locked, "max_starts": starts, "context": here}
+        given["position_only"] = self.position_only
+        if len(rows) == 1:  # quicker than many of one
+            k = rows[0]
+            one = ik.solve(self.physics, to[k], seed=self.q[k], **given)
+            self.q[k] = one.q
+            return {} if one.ok else {k: one}
+        found = ik.solve_many(self.physics, to[rows], seed=self.q[rows], **given)
         self.q[rows] = found.q
         return {rows[i]: found[i] for i in np.flatnonzero(~found.ok).tolist()}
 
-    def _list_rows(self, *status: Status) -> list[int]:
-        return [k for k, each in enumerate(self.status) if each in status]
+    def _end(self, k: int, status: Status, reason: str) -> None:
+        """Give up target k, or compensate it without the learned error."""
+        self.status[k], self.reason[k], self.q[k] = status, reason, self.ideal[k]
+        if status.success:
+            self.error[k] = 0.0
+
+    def _list_successful(self) -> list[int]:
+        return [k for k, status in enumerate(self.status) if status.success]
 
     def _context_of(self, rows: Sequence[int]) -> Context:
         return self.context.take(np.asarray(rows) if len(rows) > 1 else rows[0])
@@ -388,7 +370,3 @@ class _Batch:
 def _index_of(rows: list[int]) -> list[int] | slice:
     """Return an index of rows. For a single row it is a slice, which is faster than a list."""
     return rows if len(rows) > 1 else slice(rows[0], rows[0] + 1)
-
-
-_PHYSICS_ONLY = (Status.NO_PREDICTOR, Status.OUT_OF_DOMAIN)
-"""Outcomes in which the learned error is left out although the method uses it."""

@@ -31,7 +31,8 @@ def measure_correction(
         targets: (N, 3) m or (N, 4, 4).
         context: circumstances of all, or of each.
     """
-    return lengths(_declared_on_base(model).tip(q, context) - position_of(targets))
+    joints = q[0] if len(q) == 1 else q  # floats are quicker than arrays of one
+    return lengths(_declared_on_base(model).tip(joints, context) - position_of(targets))
 
 
 def permitted_correction(model: Model, stated_m: float | None) -> float:

@@ -25,36 +25,25 @@ _TESTS = ("+x", "-x", "+y", "-y", "+z", "-z", "growth")
 
 @dataclass(frozen=True)
 class Verdict:
-    """The result of the test after some samples.
+    """The result of the test after some samples."""
 
-    Attributes:
-        drifted: whether the alarm is raised.
-        finding: size and duration of the change in a sentence; empty without an alarm.
-        samples: number of samples so far.
-        evidence: largest cumulative sum divided by the threshold; 1 or more is an alarm.
-    """
-
-    drifted: bool
-    finding: str
-    samples: int
-    evidence: float
+    drifted: bool  # whether the alarm is raised
+    finding: str  # size and duration of the change in a sentence; empty without an alarm
+    samples: int  # number of samples so far
+    evidence: float  # largest cumulative sum divided by the threshold; 1 or more is an alarm
 
 
 @dataclass(frozen=True)
 class Monitor:
     """The state of the test. It never changes: `seen` returns the next state.
 
-    Attributes:
-        run_length: mean number of samples between two false alarms, at least.
-        samples: number of samples so far.
-        sums: (7,) cumulative sums, in the order of `_TESTS`.
-        onset: (7,) number of the sample at which each sum last left zero.
-        total: (7, 3) sum of the residuals since then, m.
-        squares: (7,) sum of ``|z|^2`` since then.
+    `sums` holds the cumulative sums, in the order of `_TESTS`, `onset` the number of the sample at
+    which each last left zero. Since then, `total` is the sum of the residuals, m, and `squares`
+    that of ``|z|^2``.
     """
 
-    run_length: float = 1e4
-    samples: int = 0
+    run_length: float = 1e4  # mean number of samples between two false alarms, at least
+    samples: int = 0  # number of samples so far
     sums: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS)))
     onset: np.ndarray = field(default_factory=lambda: np.zeros(len(_TESTS), int))
     total: np.ndarray = field(default_factory=lambda: np.zeros((len(_TESTS), 3)))

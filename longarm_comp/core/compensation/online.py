@@ -22,17 +22,11 @@ class StaleContext(JobError):  # noqa: N818
 
 
 class _Reading(NamedTuple):
-    """The last reading of one source.
+    """The last reading of one source."""
 
-    Attributes:
-        columns: values by the column names of `Context`.
-        at_s: time of the reading, s, monotonic clock.
-        wrong: why the arm cannot be in these circumstances; empty if it can.
-    """
-
-    columns: Mapping[str, float]
-    at_s: float
-    wrong: str = ""
+    columns: Mapping[str, float]  # values by the column names of `Context`
+    at_s: float  # time of the reading, s, monotonic clock
+    wrong: str = ""  # why the arm cannot be in these circumstances; empty if it can
 
 
 @dataclass(frozen=True)

@@ -61,29 +61,19 @@ one history (n,) of all."""
 class CompensatedPath:
     """A path to send, and the result at each of its k way-points.
 
-    Attributes:
-        timed: joints, velocities and times to send, of `smooth`.
-        ideal: (k, n) joints without the learned error.
-        error: (k, 3) m, learned error that was corrected; zero where the predictor was not used.
-        sigma: (k, 3) m, its standard deviation; NaN where the predictor was not used.
-        context: circumstances at the way-points.
-        passes: number of passes of the pseudo-targets.
-        correction_m: (k,) m, of `measure_correction`.
-        turn_rad: (k,) rad, by how much the orientation is off because the joints cannot hold it.
-        history: of the joints at the end.
-        notes: doubts, in words.
+    Where the predictor was not used, `error` is zero and `sigma` is NaN.
     """
 
-    timed: CubicPath
-    ideal: np.ndarray
-    error: np.ndarray
-    sigma: np.ndarray
-    context: Context
-    passes: int
-    correction_m: np.ndarray
-    turn_rad: np.ndarray
-    history: History
-    notes: tuple[str, ...]
+    timed: CubicPath  # joints, velocities and times to send, of `smooth`
+    ideal: np.ndarray  # (k, n) joints without the learned error
+    error: np.ndarray  # (k, 3) m, learned error that was corrected
+    sigma: np.ndarray  # (k, 3) m, its standard deviation
+    context: Context  # circumstances at the way-points
+    passes: int  # number of passes of the pseudo-targets
+    correction_m: np.ndarray  # (k,) m, of `measure_correction`
+    turn_rad: np.ndarray  # (k,) rad, error of orientations that the joints cannot hold
+    history: History  # of the joints at the end
+    notes: tuple[str, ...]  # doubts, in words
 
     def each(self, model: Model, method: Method, targets: np.ndarray) -> list[Compensation]:
         """Return one result per way-point, with the error that is expected there.
@@ -154,21 +144,23 @@ def compensate_path(
     """
     plan.check(model.arm.n)
     options, limits = options or CompensationOptions(), limits or PathLimits()
-    learned = predictor if options.method.uses_predictor else None
-    problem = _PathProblem(model, learned, plan, start, history, context_at, limits, options)
-    faults = ik.target_faults(plan.targets, problem.is_orientation_free, "path")
-    for row in (row for row, fault in enumerate(faults) if fault):
-        raise PathRefused(Status.BAD_TARGET, row, faults[row])
+    limits = replace(limits, position_only=limits.position_only or plan.targets.ndim == 2)
+    for row, fault in enumerate(ik.target_faults(plan.targets, limits.position_only, "path")):
+        if fault:
+            raise PathRefused(Status.BAD_TARGET, row, fault)
+    plan = replace(plan, begun=plan.begun and start is not None)
     if plan.joints is not None:
-        joints = unwrap(model.arm, plan.joints, start if problem.has_begun else None)
-        problem = replace(problem, plan=replace(plan, joints=joints))
-        if problem.has_begun:
+        joints = unwrap(model.arm, plan.joints, start if plan.begun else None)
+        plan = replace(plan, joints=joints)
+        if plan.begun:
             off = np.abs(np.asarray(start) - joints[0])  # the way from there was not planned
             worst = int(off.argmax())
             if off[worst] > limits.max_start:
                 why = f"{model.arm.joint_names[worst]} stands {off[worst]:.3g} from where the plan"
                 why = f"{why} begins, allowed {limits.max_start:g}"
                 raise PathRefused(Status.CORRECTION_TOO_LARGE, 0, why)
+    learned = predictor if options.method.uses_predictor else None
+    problem = _PathProblem(model, learned, plan, start, history, context_at, limits, options)
     try:
         return problem.solve(seed)
     except _Unanswered as unanswered:
@@ -182,7 +174,10 @@ class _Unanswered(Exception):  # noqa: N818
 
 @dataclass(frozen=True, eq=False)
 class _PathProblem:
-    """A plan, and all that its way-points are solved with: the arguments of `compensate_path`."""
+    """A checked plan, and all that its way-points are solved with: arguments of `compensate_path`.
+
+    The plan has begun only if ``start`` is known.
+    """
 
     model: Model
     predictor: ResidualPredictor | None
@@ -193,25 +188,12 @@ class _PathProblem:
     limits: PathLimits
     options: CompensationOptions
 
-    @property
-    def has_begun(self) -> bool:
-        return self.plan.begun and self.start is not None
-
-    @property
-    def is_orientation_free(self) -> bool:
-        """True where only the position of the way-points is asked for."""
-        return self.limits.position_only or self.plan.targets.ndim == 2
-
     @cached_property
     def physics(self) -> Model:
         return physics_of(self.model, self.options.method)
 
     def solve(self, seed: np.ndarray | None) -> CompensatedPath:
-        """Solve the path; repeat until learned error and play are those at the joints found.
-
-        Args:
-            seed: as in `compensate_path`.
-        """
+        """Solve the path; repeat until learned error and play are those at the joints found."""
         options, learned = self.options, self.predictor is not None
         play, seeds = PathLag(self.physics, self.limits.turn_m), self._find_seeds(seed)
         error, sigma = np.zeros((len(seeds), 3)), np.full((len(seeds), 3), np.nan)
@@ -247,20 +229,21 @@ class _PathProblem:
         sizes = measure_correction(self.model, command, self.plan.targets, context)
         self._refuse_too_large(int(np.argmax(sizes)), float(sizes.max()))
         if self.model.arm.keep_out:
-            declared = declared_model(self.model.arm)
             times = timed.chords(STRAIGHT)
-            k, entry = find_entry(declared, timed.at(times))
+            k, entry = find_entry(declared_model(self.model.arm), timed.at(times))
             if entry:
                 row = int(np.searchsorted(timed.times, times[k]))
                 raise PathRefused(Status.KEPT_OUT, row, entry)
-        came = self.history.along(command, command[0] if self.has_begun else self.start)
-        # Doubts: unknown circumstances at the beginning, and way-points outside the data
-        first = int(self.has_begun)
-        begins, rest = slice(first, first + 1), slice(first, None)
-        notes = [
-            *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
-            *outside_data(self.physics, command[rest], context.take(rest))[1],
-        ]
+        first = int(self.plan.begun)
+        came = self.history.along(command, command[0] if first else self.start)
+        notes: list[str] = []
+        if len(command) > first:  # else the arm stands there already
+            # Doubts: unknown circumstances at the beginning, and way-points outside the data
+            begins, rest = slice(first, first + 1), slice(first, None)
+            notes = [
+                *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
+                *outside_data(self.physics, command[rest], context.take(rest))[1],
+            ]
         if turn[worst := int(np.argmax(turn))] > REACHED:
             off = f"up to {np.degrees(turn[worst]):.2g} deg, at way-point {worst}"
             notes.insert(0, f"the joints cannot hold the orientation: it is off by {off}")
@@ -278,37 +261,27 @@ class _PathProblem:
         )
 
     def _refuse_too_large(self, row: int, size_m: float) -> None:
-        """Raise PathRefused if a correction is larger than permitted."""
-        if size_m > self._most_m:
-            why = describe_too_large(size_m, self._most_m)
+        most_m = permitted_correction(self.model, self.options.max_correction_m)
+        if size_m > most_m:
+            why = describe_too_large(size_m, most_m)
             raise PathRefused(Status.CORRECTION_TOO_LARGE, row, why)
-
-    @cached_property
-    def _most_m(self) -> float:
-        return permitted_correction(self.model, self.options.max_correction_m)
 
     def _give_times(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal]
     ) -> CubicPath:
-        """Return the path to send, with times within the limits.
-
-        Args:
-            way, off, lag: (k, n) parts of the commands, as in `take_up_play`.
-            reversals: the reversals of the path.
-        """
+        """Return the path to send, with times within the limits; arguments as in `take_up_play`."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
         begun = self._begin_where_it_stands(way + off + lag)[:2]
         first = np.diff((way if plan.joints is None else plan.joints)[:2], axis=0).sum(axis=0)
         begins = np.diff(begun, axis=0).sum(axis=0) - first
         second = min(1, len(way) - 1)
-        box = arm.bounds
 
         def commands(times: np.ndarray) -> CubicPath:
             stands, beyond = take_up_play(way, off, lag, reversals, times)
             stands[0] = stands[second] - first  # the rest of the first step counts as beyond
             beyond[0] = begun[0] - stands[0]
-            return smooth(plan, planned, times, stands, beyond, box)
+            return smooth(plan, planned, times, stands, beyond, arm.bounds)
 
         bare = np.vstack([way[second] - first, way[1:]])
         unit = arm.upper - arm.lower
@@ -344,7 +317,7 @@ class _PathProblem:
                 target,
                 seed=made[-1] if made else first,
                 context=context,
-                position_only=self.is_orientation_free,
+                position_only=self.limits.position_only,
                 near=True,
                 locked=self.options.locked,
                 max_starts=1 if made else self.options.starts,
@@ -355,35 +328,32 @@ class _PathProblem:
 
     def _begin_where_it_stands(self, q: np.ndarray) -> np.ndarray:
         """Replace the first of joints (k, n) by where the arm stands, if the path has begun."""
-        if self.has_begun:
+        if self.plan.begun:
             q[0] = self.start
         return q
 
     def _find_joints(
         self, seeds: np.ndarray, error: np.ndarray, context: Context
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Find joints (k, n) for the targets less an error, and the (k,) orientation error, rad.
+        """Find joints (k, n) for the targets less an error (k, 3), m, from seeds (k, n).
 
-        Args:
-            seeds: (k, n) start of the search at each way-point.
-            error: (k, 3) m, the learned error.
-            context: circumstances at the way-points.
+        The orientation error (k,), rad, comes second.
         """
         found = ik.solve_many(
             self.physics,
             pseudo_targets(self.plan.targets, error),
             seed=seeds,
             context=context,
-            position_only=self.is_orientation_free,
+            position_only=self.limits.position_only,
             near=True,
             locked=self.options.locked,
             max_starts=1,
         )
         turn = found.angle_residual_rad
-        turn[: int(self.has_begun)] = 0.0  # the arm stands there already
-        for row in np.flatnonzero(~found.ok | (turn > self.limits.max_turn_rad)):
-            if row or not self.has_begun:
-                self._refuse_unreached(int(row), found[int(row)])
+        turn[: int(self.plan.begun)] = 0.0  # the arm stands there already
+        for row in np.flatnonzero(~found.ok | (turn > self.limits.max_turn_rad)).tolist():
+            if row or not self.plan.begun:
+                self._refuse_unreached(row, found[row])
         return self._begin_where_it_stands(found.q), turn
 
     def _refuse_unreached(self, row: int, found: ik.Solution) -> None:
@@ -401,7 +371,7 @@ class _PathProblem:
         """Return the learned error and its sigma, (k, 3) m each, at joints (k, n)."""
         error, sigma = np.zeros((len(q), 3)), np.full((len(q), 3), np.nan)
         assert self.predictor is not None
-        for row in range(int(self.has_begun), len(q)):
+        for row in range(int(self.plan.begun), len(q)):
             found = self.predictor.predict(q[row : row + 1], context.take(row))
             error[row], sigma[row] = found.error[0], found.sigma[0]
             size = float(np.linalg.norm(error[row]))

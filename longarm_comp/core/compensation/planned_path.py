@@ -28,21 +28,17 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class PlannedPath:
-    """Way-points of the tip, and the joints and times of a planner.
+    """Way-points of the tip, and the joints and times of a planner; None: not planned.
 
-    Attributes:
-        targets: (k, 3) m or (k, 4, 4).
-        times: (k,) s, increasing, 0 or later; None: as fast as the limits allow.
-        joints: (k, n) planned joints, rad and m, from which each search starts; None: not planned.
-        velocities: (k, n) planned joint velocities, rad/s and m/s; None: not planned.
-        begun: whether the first way-point is where the planner believes the arm to stand.
+    Each search starts from the planned joints.  Without times, the path is as fast as the limits
+    allow.
     """
 
-    targets: np.ndarray
-    times: np.ndarray | None = None
-    joints: np.ndarray | None = None
-    velocities: np.ndarray | None = None
-    begun: bool = False
+    targets: np.ndarray  # (k, 3) m or (k, 4, 4)
+    times: np.ndarray | None = None  # (k,) s, increasing, 0 or later
+    joints: np.ndarray | None = None  # (k, n) rad and m
+    velocities: np.ndarray | None = None  # (k, n) rad/s and m/s
+    begun: bool = False  # whether the planner believes the arm to stand at the first way-point
 
     @classmethod
     def of_joints(

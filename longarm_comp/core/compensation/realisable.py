@@ -37,17 +37,11 @@ KNOWN_TO = 0.15
 
 @dataclass(frozen=True)
 class Lattice:
-    """The values at which servos can stand: joint j at ``offset[j] + step[j] k`` for whole k.
+    """The values at which servos can stand: joint j at ``offset[j] + step[j] k`` for whole k."""
 
-    Attributes:
-        step: (n,) rad or m; 0: the joint is continuous.
-        offset: (n,) rad or m.
-        offset_sd: (n,) rad or m, standard deviation of the offset.
-    """
-
-    step: np.ndarray
-    offset: np.ndarray
-    offset_sd: np.ndarray
+    step: np.ndarray  # (n,) rad or m; 0: the joint is continuous
+    offset: np.ndarray  # (n,) rad or m
+    offset_sd: np.ndarray  # (n,) rad or m, standard deviation of the offset
 
     @classmethod
     def of(cls, arm: Arm, offset: Any = 0.0, offset_sd: Any = 0.0) -> Lattice:
@@ -102,28 +96,19 @@ class Search:
 class Realisable:
     """The chosen joints for one target.
 
-    Attributes:
-        joints: (n,) joints to command, inside the limits.
-        ideal: (n,) joints that were given, clipped to the limits.
-        rounded: (n,) the ideal joints, each rounded to its nearest step.
-        ideal_error: (2,) predicted tip error at `ideal`: m, and rad (0 for positions).
-        rounded_error, error: the same at `rounded` and at `joints`.
-        nodes: number of nodes that the searches visited.
-        on_lattice: (n,) bool, joints that were chosen among their steps.
-        reason: why the choice is plain rounding; empty if it is not.
-        note: which joints with steps stay at their ideal value, and why; empty if none does.
+    Each error is the predicted tip error (2,): m, and rad (0 for positions).
     """
 
-    joints: np.ndarray
-    ideal: np.ndarray
-    rounded: np.ndarray
-    ideal_error: np.ndarray
-    rounded_error: np.ndarray
-    error: np.ndarray
-    nodes: int
-    on_lattice: np.ndarray
-    reason: str
-    note: str
+    joints: np.ndarray  # (n,) joints to command, inside the limits
+    ideal: np.ndarray  # (n,) joints that were given, clipped to the limits
+    rounded: np.ndarray  # (n,) the ideal joints, each rounded to its nearest step
+    ideal_error: np.ndarray  # at `ideal`
+    rounded_error: np.ndarray  # at `rounded`
+    error: np.ndarray  # at `joints`
+    nodes: int  # number of nodes that the searches visited
+    on_lattice: np.ndarray  # (n,) bool, joints that were chosen among their steps
+    reason: str  # why the choice is plain rounding; empty if it is not
+    note: str  # which joints with steps stay at their ideal value, and why
 
 
 def choose(
@@ -149,25 +134,44 @@ def choose(
     Raises:
         InputError: the predicted tip at the ideal or the rounded joints is not finite.
     """
-    return _Problem(arm, lattice, predict, target, ideal, search, locked).solve()
+    problem = _Problem(arm, lattice, predict, target, ideal, search, locked)
+    errors = problem.errors(np.vstack([problem.ideal, problem.step_aside(problem.rounded)]))
+    if not np.isfinite(errors[:2]).all():
+        allowed = "a finite tip at the ideal and the rounded joints"
+        raise InputError("realisable", "predict", "not finite", allowed)
+    best, error, local, nodes = problem.rounded, errors[1], errors[1:], 0
+    for turn in range(search.rounds if len(problem.stepped) else 0):
+        if turn:
+            local = problem.errors(problem.step_aside(best))
+        near, visited = problem.find_near(best, local)
+        tried = np.vstack([best, near])  # the present choice and its neighbours
+        left = problem.errors(tried)
+        moved = problem.price * (tried - problem.ideal)
+        cost = (left**2).sum(axis=1) + (moved**2).sum(axis=1)
+        place = int(np.argmin(np.where(np.isnan(cost), np.inf, cost)))
+        best, error, nodes = tried[place], left[place], nodes + visited
+    rows = np.vstack([errors[:2], error])
+    angle = np.linalg.norm(rows[:, 3:], axis=1) / search.length_m
+    sizes = np.stack([np.linalg.norm(rows[:, :3], axis=1), angle], axis=1)
+    why = "" if len(problem.stepped) else "no joint's steps are known"
+    if not why and (best == problem.rounded).all():
+        why = "no choice was better than rounding"
+    return Realisable(
+        joints=best,
+        ideal=problem.ideal,
+        rounded=problem.rounded,
+        ideal_error=sizes[0],
+        rounded_error=sizes[1],
+        error=sizes[2],
+        nodes=nodes,
+        on_lattice=np.isin(np.arange(len(best)), problem.stepped),
+        reason=why,
+        note=problem.note,
+    )
 
 
 class _Problem:
-    """One target, and the values that the joints may take.  Shapes: M candidates, m equations.
-
-    Attributes:
-        lower, upper: (n,) limits, rad and m.
-        stepped: 0-based numbers of the s joints with steps, which stand at ``offset + step k``.
-        low, high: (s,) limits of k.
-        free: 0-based numbers of the continuous joints that may move. Joints in neither list keep
-            their value.
-        moving: numbers of free and stepped joints, the free ones first.
-        whole: (s,) the k inside the limits that are nearest to the ideal joints.
-        rounded: (n,) the ideal joints, each rounded to its nearest step.
-        price: (n,) tip error (m) that counts as much as a deviation of 1 rad or 1 m from the ideal
-            value.
-        note: as in `Realisable`.
-    """
+    """One target, and the values that the joints may take.  Shapes: M candidates, m equations."""
 
     def __init__(
         self,
@@ -182,6 +186,7 @@ class _Problem:
         self.predict, self.target, self.search = predict, target, search
         self.lower, self.upper = arm.box_about(ideal)
         self.ideal = np.clip(ideal, self.lower, self.upper)
+        # (n,) tip error (m) that counts as much as a deviation of 1 rad or 1 m from the ideal value
         self.price = search.price_m / np.where(arm.slides, search.length_m, 1.0)
         is_locked = np.isin(np.arange(arm.n), locked)
         # Lowest and highest k inside the limits; not used for continuous joints
@@ -189,11 +194,14 @@ class _Problem:
         low = np.ceil((self.lower - lattice.offset) / step - EDGE)
         high = np.floor((self.upper - lattice.offset) / step + EDGE)
         declared = (lattice.step > 0) & ~is_locked
+        # Numbers of the s joints with steps, which stand at ``offset + step k``, and of the
+        # continuous joints that may move. Joints in neither list keep their value.
         on = self.stepped = np.flatnonzero(declared & lattice.is_known & (low <= high))
         self.free = np.flatnonzero((lattice.step == 0) & ~is_locked)
+        self.moving = np.concatenate([self.free, on])
         self.offset, self.step = lattice.offset[on], lattice.step[on]
         self.low, self.high = low[on], high[on]
-        self.moving = np.concatenate([self.free, on])
+        # (s,) the k inside the limits that are nearest to the ideal joints
         whole = np.rint((self.ideal[on] - self.offset) / self.step)
         self.whole = np.clip(whole, self.low, self.high)
         self.rounded = self.at_steps(self.ideal, self.whole)
@@ -212,46 +220,6 @@ class _Problem:
         q = q.copy()
         q[..., self.stepped] = self.offset + self.step * k
         return np.clip(q, self.lower, self.upper)
-
-    def solve(self) -> Realisable:
-        """Return the choice. Each round keeps the best of the present choice and its neighbours.
-
-        Raises:
-            InputError: the predicted tip at the ideal or the rounded joints is not finite.
-        """
-        errors = self.errors(np.vstack([self.ideal, self.step_aside(self.rounded)]))
-        if not np.isfinite(errors[:2]).all():
-            allowed = "a finite tip at the ideal and the rounded joints"
-            raise InputError("realisable", "predict", "not finite", allowed)
-        best, error, local, nodes = self.rounded, errors[1], errors[1:], 0
-        for turn in range(self.search.rounds if len(self.stepped) else 0):
-            if turn:
-                local = self.errors(self.step_aside(best))
-            near, visited = self.find_near(best, local)
-            tried = np.vstack([best, near])
-            left = self.errors(tried)
-            moved = self.price * (tried - self.ideal)
-            cost = (left**2).sum(axis=1) + (moved**2).sum(axis=1)
-            place = int(np.argmin(np.where(np.isnan(cost), np.inf, cost)))
-            best, error, nodes = tried[place], left[place], nodes + visited
-        rows = np.vstack([errors[:2], error])
-        angle = np.linalg.norm(rows[:, 3:], axis=1) / self.search.length_m
-        sizes = np.stack([np.linalg.norm(rows[:, :3], axis=1), angle], axis=1)
-        why = "" if len(self.stepped) else "no joint's steps are known"
-        if not why and (best == self.rounded).all():
-            why = "no choice was better than rounding"
-        return Realisable(
-            joints=best,
-            ideal=self.ideal,
-            rounded=self.rounded,
-            ideal_error=sizes[0],
-            rounded_error=sizes[1],
-            error=sizes[2],
-            nodes=nodes,
-            on_lattice=np.isin(np.arange(len(best)), self.stepped),
-            reason=why,
-            note=self.note,
-        )
 
     def errors(self, q: np.ndarray) -> np.ndarray:
         """Compute tip - target at joints (M, n): (M, m) in m, angles in rad times `length_m`."""

@@ -31,17 +31,11 @@ from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 
 @dataclass(frozen=True, eq=False)
 class Unexpected:
-    """What was not expected of one sighting.
+    """What was not expected of one sighting."""
 
-    Attributes:
-        off: (3,) m, the sighting less its expectation after all sightings before.
-        covariance: (3, 3) m^2, of `off` while nothing changes.
-        after: the errors as they are known with this sighting.
-    """
-
-    off: np.ndarray
-    covariance: np.ndarray
-    after: RepeatingErrors
+    off: np.ndarray  # (3,) m, the sighting less its expectation after all sightings before
+    covariance: np.ndarray  # (3, 3) m^2, of `off` while nothing changes
+    after: RepeatingErrors  # the errors as they are known with this sighting
 
     def spread(self, least_m: float, turn: np.ndarray | None = None) -> np.ndarray:
         """Return the covariance (3, 3), m^2, with a standard deviation of `least_m` or more.

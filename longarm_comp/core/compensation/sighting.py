@@ -36,17 +36,11 @@ _Visited = tuple[tuple[int, np.ndarray], ...]
 
 @dataclass(frozen=True, eq=False)
 class SightingError:
-    """The error of one sighting, besides that of the model's parameters.
+    """The error of one sighting, besides that of the model's parameters."""
 
-    Attributes:
-        noise: (3, 3) m^2, covariance of what is new at each sighting.
-        structure: (3, 3) m^2, covariance of what is alike at each visit to the same joints.
-        common: (3, COMMON) m, the errors that all sightings share, each per its standard deviation.
-    """
-
-    noise: np.ndarray
-    structure: np.ndarray
-    common: np.ndarray
+    noise: np.ndarray  # (3, 3) m^2, covariance of what is new at each sighting
+    structure: np.ndarray  # (3, 3) m^2, covariance of what is alike at each visit to a pose
+    common: np.ndarray  # (3, COMMON) m, what all sightings share, each per its standard deviation
 
     @property
     def covariance(self) -> np.ndarray:

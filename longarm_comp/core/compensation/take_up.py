@@ -38,15 +38,10 @@ from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
 @dataclass(frozen=True, eq=False)
 class PathLag:
-    """The lag of joints along a path of a model's arm, and where it changes.
+    """The lag of joints along a path of a model's arm, and where it changes."""
 
-    Attributes:
-        model: the physics that commands are solved with.
-        tolerance_m: how far the tip may leave its path where a joint reverses, m.
-    """
-
-    model: Model
-    tolerance_m: float
+    model: Model  # the physics that commands are solved with
+    tolerance_m: float  # how far the tip may leave its path where a joint reverses, m
 
     @cached_property
     def joints(self) -> list[int]:
@@ -91,10 +86,8 @@ class PathLag:
         reversing at once.
 
         Args:
-            stands: (k, n) positions of the joints, rad and m.
-            lag: (k, n) by how much their commands are ahead, rad and m.
-            history: of the joints at ``start``.
-            start: (n,) joints before the path; None: not known.
+            stands, lag: (k, n) positions of the joints, and by how much their commands are ahead.
+            history, start: of the joints before the path, and where they stood (None: not known).
         """
         steady, half = stands.copy(), 0.5 * self.tolerance
         low, high = stands - half, stands + half
@@ -119,13 +112,7 @@ class PathLag:
     def find_reversals(
         self, stands: np.ndarray, lag: np.ndarray, sides: np.ndarray
     ) -> list[Reversal]:
-        """Find the reversals: where a joint's side changes.
-
-        Args:
-            stands: (k, n) positions of the joints, rad and m.
-            lag: (k, n) by how much their commands are ahead, rad and m.
-            sides: (k, n) of -1, 0, +1, by `find_history`.
-        """
+        """Find the reversals: where one of the sides (k, n) that `find_history` found changes."""
         found = []
         for joint in self.joints:
             before = 0  # the reversal before this one
@@ -141,18 +128,12 @@ class PathLag:
 
 
 class Reversal(NamedTuple):
-    """A reversal of a joint on a path, where the joint takes up its play.
+    """A reversal of a joint on a path, where the joint takes up its play."""
 
-    Attributes:
-        joint: its number, 0-based.
-        first, last: numbers (0-based) of the way-points between which the joint is near it.
-        crossed: change of the joint's lag between the two, rad or m.
-    """
-
-    joint: int
-    first: int
-    last: int
-    crossed: float
+    joint: int  # its number, 0-based
+    first: int  # number (0-based) of the first way-point near the reversal
+    last: int  # number of the last one
+    crossed: float  # change of the joint's lag between the two, rad or m
 
 
 def take_up_play(
@@ -241,10 +222,7 @@ def _delay_at_reversals(
     """Compute by how much each step from way-point to way-point takes longer, (k - 1,) s.
 
     Args:
-        times: (k,) s, the planned times.
         speed2: (k - 1,) squared speed of the joints in each step, in `unit` per second.
-        unit: (n,) scale of each joint.
-        reversals: the reversals of the path.
         jerk2: mean squared jerk that is allowed, as j^2 in the formulas above.
     """
     later = np.zeros(len(times) - 1)

@@ -28,21 +28,13 @@ FRAMES = (BASE, MEASURED)
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The transforms between the frames of targets, of the measurements and of a model.
+    """The transforms between the frames of targets, of the measurements and of a model."""
 
-    Attributes:
-        frame: frame of the target, ``base`` or ``measured``.
-        motion: (4, 4) transform from the frame of the target to that of the model.
-        base: (4, 4) pose of the base in the frame of the measurements.
-        seen: (4, 4) transform from the frame of the measurements to that of the model.
-        solved: whether `base` comes from a calibration.
-    """
-
-    frame: str
-    motion: np.ndarray
-    base: np.ndarray
-    seen: np.ndarray
-    solved: bool
+    frame: str  # frame of the target, ``base`` or ``measured``
+    motion: np.ndarray  # (4, 4) transform from the frame of the target to that of the model
+    base: np.ndarray  # (4, 4) pose of the base in the frame of the measurements
+    seen: np.ndarray  # (4, 4) transform from the frame of the measurements to that of the model
+    solved: bool  # whether `base` comes from a calibration
 
     @property
     def text(self) -> str:

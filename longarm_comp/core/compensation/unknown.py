@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from itertools import compress
 from typing import Any
 
@@ -45,9 +43,15 @@ def unknown_circumstances(
     Returns:
         Standard deviations (M, 3) in m, and M texts that say why; zeros and "" where all is known.
     """
+    heavier = moved_by_payload(model, q, context)
+    known_to = np.broadcast_to(context.columns.get(SD, 0.0), len(q))
+    weighed = [
+        f"the payload is known to {by:.3f} kg only (sigma {mm:.2f} mm)" if by else ""
+        for by, mm in zip(known_to, 1e3 * np.linalg.norm(heavier, axis=1), strict=True)
+    ]
     each = (
         unknown_history(model, q, context, doubtful),
-        uncertain_payload(model, q, context),
+        (np.abs(heavier), weighed),
         beyond_session(model, q, context),
     )
     if not any(any(why) for _, why in each):
@@ -88,20 +92,19 @@ def unknown_history(
     unsure = np.zeros(n, bool) if doubtful is None else doubtful
     recorded = {}
     for name in PER_JOINT:
-        values = np.array([np.broadcast_to(v, m) for v in context.of_all(name, n)], float)
+        given = context.of_all(name, n)
+        values = np.empty((len(given), m))
+        for row, value in zip(values, given, strict=True):
+            row[:] = value
         recorded[name] = values.T.reshape(m, n, -1)
     spans = model.arm.upper - model.arm.lower
-
-    def history_of(joint: int) -> _KnownHistory:
-        held = {name: rows[:, joint] for name, rows in recorded.items()}
-        return _KnownHistory(**held, unsure=bool(unsure[joint]), span=float(spans[joint]))
-
-    open_ = [
-        (name, joint, extremes)
-        for name, joints in read.items()
-        for joint in joints
-        if (extremes := _FIELDS[name][1](history_of(joint))) is not None
-    ]
+    open_ = []
+    for name, joints in read.items():
+        for joint in joints:
+            held = {field: rows[:, joint] for field, rows in recorded.items()}
+            extremes = _find_extremes(name, **held, unsure=unsure[joint], span=spans[joint])
+            if extremes is not None:
+                open_.append((name, joint, extremes))
     if not open_:
         return np.zeros((m, 3)), [""] * m
     times = 2 * len(open_)
@@ -116,29 +119,13 @@ def unknown_history(
     half = 0.5 * (tip[:, 0] - tip[:, 1])
     size = np.linalg.norm(half, axis=2)
     spread = np.where((size > _LEAST_M).any(axis=0)[:, None], np.sqrt((half**2).sum(axis=0)), 0.0)
-    parts = [f"{_FIELDS[name][0]} of {model.arm.joint_names[joint]}" for name, joint, _ in open_]
+    parts = [f"{_SAID[name]} of {model.arm.joint_names[joint]}" for name, joint, _ in open_]
     text = "the tip depends on circumstances that are not known"
     why = [
         f"{text}: {', '.join(compress(parts, of))} (sigma {sigma:.2f} mm)" if sigma else ""
         for of, sigma in zip((size > _LEAST_M).T, 1e3 * np.linalg.norm(spread, axis=1), strict=True)
     ]
     return spread, why
-
-
-def uncertain_payload(
-    model: Model, q: np.ndarray, context: Context
-) -> tuple[np.ndarray, list[str]]:
-    """Estimate how far off the tip may be because of the payload's uncertainty, the column `SD`.
-
-    Returns:
-        Standard deviations (M, 3) in m, and M sentences; zeros and "" for a certain payload.
-    """
-    sd = np.broadcast_to(context.columns.get(SD, 0.0), len(q))
-    moved = moved_by_payload(model, q, context)
-    return np.abs(moved), [
-        f"the payload is known to {by:.3f} kg only (sigma {mm:.2f} mm)" if by else ""
-        for by, mm in zip(sd, 1e3 * np.linalg.norm(moved, axis=1), strict=True)
-    ]
 
 
 def moved_by_payload(model: Model, q: np.ndarray, context: Context) -> np.ndarray:
@@ -154,64 +141,45 @@ def moved_by_payload(model: Model, q: np.ndarray, context: Context) -> np.ndarra
     return np.asarray((tips[0] - tips[1]) / 2.0)
 
 
-@dataclass(frozen=True)
-class _KnownHistory:
-    """What is known of one joint's history at M commands; fields as in `History`.
+def _find_extremes(
+    field: str,
+    *,
+    approach: np.ndarray,
+    legs: np.ndarray,
+    last_way: np.ndarray,
+    unsure: bool,
+    span: float,
+) -> np.ndarray | None:
+    """Return two extremes (2, M, ...) of a field of one joint's history; None if it is known.
 
-    Attributes:
-        approach, last_way: (M, 1).
-        legs: (M, LEGS).
+    Args:
+        approach, last_way, legs: what is known of it, (M, 1) or (M, LEGS).
         unsure: whether `approach` is given but not certain.
         span: range of the joint, rad or m.
     """
-
-    approach: np.ndarray
-    legs: np.ndarray
-    last_way: np.ndarray
-    unsure: bool
-    span: float
-
-
-def _list_sides(joint: _KnownHistory) -> np.ndarray | None:
-    """Return the two extremes (2, M, 1) of the side: both sides, or twice the known one.
-
-    None is returned if the side is known at all M commands.
-    """
-    unknown = (joint.approach == 0.0) | joint.unsure
-    return np.where(unknown, [[[1.0]], [[-1.0]]], joint.approach) if unknown.any() else None
-
-
-def _list_ways_before(joint: _KnownHistory) -> np.ndarray:
-    """Return two extremes (2, M, LEGS) of the earlier moves: a long one up, and a long one down.
-
-    Each comes before the known legs. Every possible state of a joint's play lies between the two.
-    """
-    legs = joint.legs
-    first = np.argsort(legs == 0.0, axis=1, kind="stable")
-    after = np.zeros_like(legs) if joint.unsure else np.take_along_axis(legs, first, axis=1)
-    made = np.stack([after, after])
-    made[:, np.arange(len(legs)), (after != 0.0).sum(axis=1)] = [[_FAR], [-_FAR]]
-    return made
-
-
-def _list_rests_of_way(joint: _KnownHistory) -> np.ndarray:
-    """Return two extremes (2, M, 1) of the last displacement: twice the known one, and none.
-
-    It is not known how soon after its move the tip is used. So the after-effect of the move may be
-    larger than it was in the session, or gone.  If no displacement is known, the extremes are half
-    the joint's range up and down. (Displacements between random positions in the range have a
-    standard deviation of 0.41 of it.)
-    """
-    half = 0.5 * joint.span
-    known = np.stack([2.0 * joint.last_way, np.zeros_like(joint.last_way)])
-    return np.where(joint.legs[:, :1] == 0.0, [[[half]], [[-half]]], known)
+    if field == "approach":
+        unknown = (approach == 0.0) | unsure
+        return np.where(unknown, [[[1.0]], [[-1.0]]], approach) if unknown.any() else None
+    if field == "legs":
+        # A long way up, and a long way down, before the known legs. Every possible state of a
+        # joint's play lies between the two.
+        first = np.argsort(legs == 0.0, axis=1, kind="stable")
+        after = np.zeros_like(legs) if unsure else np.take_along_axis(legs, first, axis=1)
+        made = np.stack([after, after])
+        made[:, np.arange(len(legs)), (after != 0.0).sum(axis=1)] = [[_FAR], [-_FAR]]
+        return made
+    # It is not known how soon after its move the tip is used. So the after-effect of the move may
+    # be larger than it was in the session, or gone. If no displacement is known, the extremes are
+    # half the joint's range up and down. (Displacements between random positions in the range have
+    # a standard deviation of 0.41 of it.)
+    known = np.stack([2.0 * last_way, np.zeros_like(last_way)])
+    return np.where(legs[:, :1] == 0.0, [[[0.5 * span]], [[-0.5 * span]]], known)
 
 
 _FAR = 1e6  # rad, m: farther than any play
-_FIELDS: Mapping[str, tuple[str, Callable[[_KnownHistory], np.ndarray | None]]] = {
-    "approach": ("approach", _list_sides),
-    "legs": ("earlier moves", _list_ways_before),
-    "last_way": ("time since the last move", _list_rests_of_way),
+_SAID = {
+    "approach": "approach",
+    "legs": "earlier moves",
+    "last_way": "time since the last move",
 }
-"""By field of the history: its name in messages, and the function that returns the two extremes of
-its value at a joint, or None if it is known."""
+"""Names of the history's fields in messages."""

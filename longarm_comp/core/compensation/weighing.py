@@ -53,22 +53,14 @@ class Felt(NamedTuple):
     """The loads at one rest, measured and computed.
 
     Each is (k,) with k = n + 3, N m and N: of the n joints, then of the three axes of the wrist.
-
-    Attributes:
-        value: measured load, with the sign of the load; NaN where not measured.
-        without: load by the arm's statics without payload.
-        per_kg: load by the statics of a payload of 1 kg.
-        side: sign of the friction in `value`, -1 or +1; 0: not known. +1 at the wrist.
-        friction: friction of the joints as in `Drives`; at the wrist, standard deviation.
-        step: smallest step of the reading as in `Drives`; 0 at the wrist.
     """
 
-    value: np.ndarray
-    without: np.ndarray
-    per_kg: np.ndarray
-    side: np.ndarray
-    friction: np.ndarray
-    step: np.ndarray
+    value: np.ndarray  # measured load, with the sign of the load; NaN where not measured
+    without: np.ndarray  # load by the arm's statics without payload
+    per_kg: np.ndarray  # load by the statics of a payload of 1 kg
+    side: np.ndarray  # sign of the friction in `value`, -1 or +1; 0: not known. +1 at the wrist.
+    friction: np.ndarray  # friction of the joints as in `Drives`; at the wrist, standard deviation
+    step: np.ndarray  # smallest step of the reading as in `Drives`; 0 at the wrist
 
     @property
     def measured(self) -> bool:
@@ -143,18 +135,12 @@ class Weighing:
     """The weighing of the payload over the last rests.
 
     It notices by itself when the payload changes, and then weighs the new one.
-
-    Attributes:
-        run_length: mean number of rests between two false alarms of a change.
-        rests: the loads at each rest.
-        loads: for each rest the number of the payload that was carried.
-        load: number of the present payload.
     """
 
-    run_length: float = 1e4
-    rests: tuple[Felt, ...] = ()
-    loads: tuple[int, ...] = ()
-    load: int = 0
+    run_length: float = 1e4  # mean number of rests between two false alarms of a change
+    rests: tuple[Felt, ...] = ()  # the loads at each rest
+    loads: tuple[int, ...] = ()  # for each rest the number of the payload that was carried
+    load: int = 0  # number of the present payload
 
     def change_payload(self) -> Weighing:
         """Return the weighing that begins anew, because another payload is carried from now on."""

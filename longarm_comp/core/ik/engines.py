@@ -72,8 +72,7 @@ def run(
         starts: (N, n) joints, rad and m.
         box: lower and upper limits, (N, n) each; both are at the start for a locked joint.
         restarts: largest number of restarts of a target (`restart_points`).
-        tol: tolerance on position (m) and angle (rad). A target has failed if a residual is above
-            both `tol` and `REACHED`.
+        tol: tolerance (m and rad). A target has failed if a residual exceeds it and `REACHED`.
         radian_m: length (m) that a radian of the tool's angle counts as.
 
     Returns:

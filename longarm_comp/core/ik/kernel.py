@@ -58,15 +58,10 @@ def rigid_jacobian(posture: Posture, tip: Vec, station: float = math.inf) -> lis
 
 @dataclass(frozen=True)
 class TwistRow:
-    """The effects' twists of all stations as one row of numbers, the ``x`` of a search's state.
+    """The effects' twists of all stations as one row of numbers, the ``x`` of a search's state."""
 
-    Attributes:
-        slot: position in the row, by (station, component 0 to 5).
-        fixed: values of the components that are not in the row, by the same keys.
-    """
-
-    slot: dict[tuple[int, int], int]
-    fixed: dict[tuple[int, int], float]
+    slot: dict[tuple[int, int], int]  # position in the row, by (station, component 0 to 5)
+    fixed: dict[tuple[int, int], float]  # values that are not in the row, by the same keys
 
     @classmethod
     def whole(cls, model: Model, context: Context) -> TwistRow:
@@ -184,11 +179,8 @@ class Kernel:
         `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
         `evaluate` is the model itself at the trial joints.
         """
-        if self._code is None:
-            self._code = self._compile()
-        return self._code
-
-    def _compile(self) -> Any:
+        if self._code is not None:
+            return self._code
         from longarm_comp.core.ik.codegen import llvm
 
         width = llvm.count_lanes()
@@ -209,7 +201,9 @@ class Kernel:
         for m in (3, 6):
             search = newton.flow(self.passes, m)
             flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
-        return llvm.compile_module(llvm.write_module(programs, flows, self.place, width), width)
+        text = llvm.write_module(programs, flows, self.place, width)
+        self._code = llvm.compile_module(text, width)
+        return self._code
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:

@@ -33,7 +33,11 @@ def nearest(
         k (P, n), the nearest first, and the number of visited nodes of the search tree.
     """
     tree = _Tree(R, low, high, kept, max_nodes)
-    tree.search()
+    for _ in range(8):
+        tree.visit(tree.n - 1, 0.0, -tree.W @ tree.R[:, tree.n])
+        if len(tree.best) == kept or tree.nodes >= max_nodes:
+            break
+        tree.seen2, tree.radius2 = tree.radius2, 2.0 * tree.radius2
     return np.array([k for _, k in tree.best]).reshape(-1, len(low)), tree.nodes
 
 
@@ -57,15 +61,7 @@ class _Tree:
         self.best: list[tuple[float, np.ndarray]] = []
         self.nodes = 0
 
-    def search(self) -> None:
-        """Fill the list of the best points; widen the radius while the list is not full."""
-        for _ in range(8):
-            self._visit(self.n - 1, 0.0, -self.W @ self.R[:, self.n])
-            if len(self.best) == self.kept or self.nodes >= self.max_nodes:
-                break
-            self.seen2, self.radius2 = self.radius2, 2.0 * self.radius2
-
-    def _visit(self, level: int, total: float, expected: np.ndarray) -> None:
+    def visit(self, level: int, total: float, expected: np.ndarray) -> None:
         """Try the integers at a level, from the centre outwards, then the levels below."""
         reach2 = (self.radius2 - total) * self.spread2[:, level]
         gap = np.maximum(np.maximum(self.low - expected, expected - self.high) - EDGE, 0.0)
@@ -82,7 +78,7 @@ class _Tree:
             self.nodes += 1
             self.z[level] = z
             if level:
-                self._visit(level - 1, total + left * left, expected + self.W[:, level] * left)
+                self.visit(level - 1, total + left * left, expected + self.W[:, level] * left)
             else:
                 self._leaf(total + left * left)
             z += side

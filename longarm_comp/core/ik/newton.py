@@ -120,22 +120,17 @@ reachable space, the last digits of a target decide whether any joints meet it m
 
 
 class Level(NamedTuple):
-    """A way to evaluate the tip, and the residual down to which it is used.
+    """A way to evaluate the tip, and the residual (m and rad) down to which it is used.
 
-    Attributes:
-        evaluate: twists "kept" from the start of the level, "carried" from iterate to iterate, or
-            from "full" load passes.
-        near: residual of position (m) and angle (rad) at which the level ends; None: `tol`.
-        skip: residual at the start of the level at which it ends at once; None: `tol`.
-        hasty: whether a step with little progress ends it too.
-        learns: whether Broyden's rule corrects the Jacobian.
+    Twists are "kept" from the start of the level, "carried" from iterate to iterate, or from "full"
+    load passes.
     """
 
-    evaluate: str
-    near: float | None
-    skip: float | None
-    hasty: bool
-    learns: bool
+    evaluate: str  # "kept", "carried" or "full"
+    near: float | None  # residual at which the level ends; None: `tol`
+    skip: float | None  # residual at its start at which it ends at once; None: `tol`
+    hasty: bool  # whether a step with little progress ends it too
+    learns: bool  # whether Broyden's rule corrects the Jacobian
 
 
 LEVELS = (

@@ -52,23 +52,17 @@ class Reason(Enum):
 class Solution(NamedTuple):
     """Joints for one target.
 
-    Attributes:
-        q: (n,), inside the limits; the best found when not `ok`.
-        ok: whether the residuals are within the larger of `REACHED` and `tol`. If an orientation
-            could only be held as `near` as possible, the position alone counts.
-        reason: why the search ended.
-        position_residual_m, angle_residual_rad: residuals at q (0 rad for position tasks).
-        iterations: total number over all starts.
-        starts: number of starts; 1 means that the seed sufficed.
+    `ok` tells whether the residuals are within the larger of `REACHED` and `tol`. If an orientation
+    could only be held as `near` as possible, the position alone counts.
     """
 
-    q: np.ndarray
+    q: np.ndarray  # (n,), inside the limits; the best found when not `ok`
     ok: bool
-    reason: Reason
-    position_residual_m: float
-    angle_residual_rad: float
-    iterations: int
-    starts: int
+    reason: Reason  # why the search ended
+    position_residual_m: float  # at q
+    angle_residual_rad: float  # at q; 0 for position tasks
+    iterations: int  # total number over all starts
+    starts: int  # number of starts; 1 means that the seed sufficed
 
 
 @dataclass(frozen=True)

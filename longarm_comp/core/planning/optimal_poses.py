@@ -44,16 +44,10 @@ choice."""
 
 @dataclass(frozen=True, eq=False)
 class OptimalPlan(Plan):
-    """A plan of poses, the most informative first.
+    """A plan of poses, the most informative first."""
 
-    Attributes:
-        expected_m: rms error of the tip (m) over the joint box that is expected once they are
-            measured.
-        ahead_m: the same once `AHEAD` more poses are measured.
-    """
-
-    expected_m: float = float("nan")
-    ahead_m: float = float("nan")
+    expected_m: float = float("nan")  # expected rms error of the tip over the joint box, m
+    ahead_m: float = float("nan")  # the same once `AHEAD` more poses are measured
 
     @property
     def stop_rule(self) -> str:
@@ -67,23 +61,15 @@ class OptimalPlan(Plan):
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """The uncertain parameters of an arm, and the noise with which its poses are measured.
+    """The uncertain parameters of an arm, and the noise with which its poses are measured."""
 
-    Attributes:
-        model: the model with every uncertain term; derivatives are taken at its values.
-        scale: (p,) units of its parameters: their prior standard deviations.
-        information: (p, p) inverse covariance in these units.
-        sigma: noise of a length (m) and of an angle (rad).
-        framed: whether the measurements show where the base stands.
-        read: noise of joint readings that are taken at each pose too, rad or m, by name.
-    """
-
-    model: Model
-    scale: np.ndarray
-    information: np.ndarray
-    sigma: tuple[float, float]
-    framed: bool = True
+    model: Model  # with every uncertain term; derivatives are taken at its values
+    scale: np.ndarray  # (p,) units of its parameters: their prior standard deviations
+    information: np.ndarray  # (p, p) inverse covariance in these units
+    sigma: tuple[float, float]  # noise of a length (m) and of an angle (rad)
+    framed: bool = True  # whether the measurements show where the base stands
     read: Mapping[str, float] = field(default_factory=dict)
+    """Noise of joint readings that are taken at each pose too, rad or m, by name."""
 
     @classmethod
     def of(
@@ -222,18 +208,15 @@ def choose_optimal_poses(
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The choice of some of M poses.
+    """The choice of some of M poses: I-optimal, or D-optimal without `tips`.
 
-    Attributes:
-        x: (M, d, p) derivatives of what each measures (`Uncertainty.measures`).
-        information: (p, p) inverse covariance before any is measured.
-        tips: (p, p), I-optimal: the trace of its product with the covariance is minimised. None,
-            D-optimal: the determinant of the covariance is.
+    Minimised is the trace of the product of `tips` and the covariance, or the covariance's
+    determinant.
     """
 
-    x: np.ndarray
-    information: np.ndarray
-    tips: np.ndarray | None
+    x: np.ndarray  # (M, d, p) derivatives of what each measures (`Uncertainty.measures`)
+    information: np.ndarray  # (p, p) inverse covariance before any is measured
+    tips: np.ndarray | None  # (p, p)
 
     def covariance(self, chosen: Sequence[int]) -> np.ndarray:
         """Return the covariance (p, p) of the parameters once the chosen poses are measured."""
@@ -278,21 +261,13 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What is known after some poses; one pose more is an update of rank d.
+    """What is known after some poses; one pose more is an update of rank d."""
 
-    Attributes:
-        choice: the poses.
-        covariance: (p, p) C.
-        own: (M, d, d) I + x C x' of every pose.
-        error: (p, p) C tips C; None if D-optimal.
-        left: (M, d, d) x C tips C x' of every pose; None if D-optimal.
-    """
-
-    choice: Choice
-    covariance: np.ndarray
-    own: np.ndarray
-    error: np.ndarray | None = None
-    left: np.ndarray | None = None
+    choice: Choice  # the poses
+    covariance: np.ndarray  # (p, p) C
+    own: np.ndarray  # (M, d, d) I + x C x' of every pose
+    error: np.ndarray | None = None  # (p, p) C tips C; None if D-optimal
+    left: np.ndarray | None = None  # (M, d, d) x C tips C x' of every pose; None if D-optimal
 
     def with_pose(self, k: int, sign: float = 1.0) -> _Known:
         """Return what is known with pose k added (`sign` 1) or taken away (-1)."""
@@ -334,10 +309,7 @@ def _times(blocks: np.ndarray, right: np.ndarray) -> np.ndarray:
 def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> list[Session]:
     """Return sessions in which the poses are measured, for distances one per anchor.
 
-    Their measured values are placeholders.
-
-    Args:
-        read: names of the joint readings that are taken too.
+    Their measured values are placeholders. Joint readings of the names in `read` are taken too.
     """
     n = len(plan)
     joints = {f"read_q{k + 1}": plan.q[:, k : k + 1] for k in range(plan.q.shape[1])}

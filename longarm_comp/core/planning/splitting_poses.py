@@ -21,14 +21,10 @@ class SplittingPoses(Plan):
     """Poses that would tell two explanations apart, some of them with a payload.
 
     It is the largest payload of the session, or the declared one if that is larger.
-
-    Attributes:
-        between: names of the two effects.
-        log_bayes_factor: expected log odds between them once these poses are measured too.
     """
 
-    between: tuple[str, str] = ("", "")
-    log_bayes_factor: float = 0.0
+    between: tuple[str, str] = ("", "")  # names of the two effects
+    log_bayes_factor: float = 0.0  # expected log odds once they are measured too
 
 
 def choose_splitting_poses(
@@ -64,12 +60,16 @@ def choose_splitting_poses(
 
     theirs, mine = map(fit.whiten_columns, _compute_designs(fit, found, other, compute_columns))
     far, shift = _compute_designs(fit, found, other, lambda slots: fit.model.columns(at, slots)[1])
-    scale = _find_noise(fit)[None, :, None]
+    if fit.session.blocks[0].kind == "position":  # an axis without noise has the smallest
+        noise = np.where(np.isfinite(fit.sigma[:3]), fit.sigma[:3], np.min(fit.sigma[:3]))
+    else:
+        lengths = (fit.sigma * fit.metres)[(fit.metres > 0) & np.isfinite(fit.sigma)]
+        noise = np.full(3, np.min(lengths))
     own = np.concatenate([theirs, mine], axis=1)
     information = own.T @ own + np.eye(own.shape[1])
     amount = np.zeros_like(information)
     amount[-1, -1] = 1.0
-    choice = Choice(np.concatenate([far, shift], axis=2) / scale, information, amount)
+    choice = Choice(np.concatenate([far, shift], axis=2) / noise[:, None], information, amount)
     chosen = choice.add_best([], count)
     odds = 0.5 * (1.0 / choice.covariance(chosen)[-1, -1] - 1.0)  # less the prior's part
     payload = typical["payload_kg"][chosen] if heaviest > 0 else None
@@ -77,28 +77,13 @@ def choose_splitting_poses(
     return SplittingPoses(q[chosen], side[chosen], payload, None, between, float(odds))
 
 
-def _find_noise(fit: ModelFit) -> np.ndarray:
-    """Return the (3,) noise of a position to be measured, m.
-
-    It is the noise of the session's positions (an axis without one has the smallest), or the
-    smallest noise of its lengths if it holds no positions.
-    """
-    if fit.session.blocks[0].kind == "position":
-        return np.where(np.isfinite(fit.sigma[:3]), fit.sigma[:3], np.min(fit.sigma[:3]))
-    lengths = (fit.sigma * fit.metres)[(fit.metres > 0) & np.isfinite(fit.sigma)]
-    return np.full(3, np.min(lengths))
-
-
 def _compute_designs(
     fit: ModelFit, found: Candidate, other: Candidate, of: Callable[[Sequence[Slot]], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the columns of all other parameters, and that of the found effect as a whole.
+    """Return the columns of all other parameters, and the shift (N, d, 1) by the found effect.
 
-    The first are (N, d, p), per prior width; the other effect's parameters come last. The second is
-    (N, d, 1), the shift by the found effect.
-
-    Args:
-        of: returns the columns (N, d, k) of parameters.
+    The columns are (N, d, p), per prior width; the other effect's parameters come last. ``of``
+    returns the columns (N, d, k) of parameters.
     """
     places = {t.key for t in found.terms}
     rest = tuple(s for s in fit.slots if s.owner.key not in places)

@@ -23,19 +23,13 @@ LEAST = 12
 
 @dataclass(frozen=True, eq=False)
 class SeenWave:
-    """One damped wave of the tip, or of the joints.
+    """One damped wave of the tip, or of the joints."""
 
-    Attributes:
-        hz, hz_sd: undamped frequency and its standard deviation, Hz.
-        damping, damping_sd: damping ratio and its standard deviation.
-        size: amplitude at the first sighting: (3,), m, base frame, or of joints (n,), rad and m.
-    """
-
-    hz: float
-    hz_sd: float
-    damping: float
-    damping_sd: float
-    size: np.ndarray
+    hz: float  # undamped frequency, Hz
+    hz_sd: float  # its standard deviation, Hz
+    damping: float  # damping ratio
+    damping_sd: float  # its standard deviation
+    size: np.ndarray  # amplitude at the first sighting: (3,), m, base frame, or of joints (n,)
 
 
 def fit_waves(times: np.ndarray, seen: np.ndarray) -> list[SeenWave]:

@@ -9,8 +9,10 @@ from known_arm import RIGID, ZEROS, calibrated, judged
 from read_arm import ARM
 
 from longarm_comp.core.arm.context import Context
-from longarm_comp.core.at_work.changes import TOGETHER
+from longarm_comp.core.at_work.changes import TOGETHER, Parameters
+from longarm_comp.core.at_work.explanations import Branch, Explanations, _PastChange
 from longarm_comp.core.at_work.learner import Learner
+from longarm_comp.core.at_work.posterior import RecursivePosterior
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.geometry import JointZero
 
@@ -35,3 +37,13 @@ def test_zeros_that_change_at_once_are_named_together(changes: tuple[float, ...]
     moved = {name: value for name, _, value in named.by}
     for joint, change in enumerate(changes, start=1):
         assert moved[f"joint {joint} offset"] == pytest.approx(change, abs=1e-3)
+
+
+def test_places_come_in_the_order_of_the_changes() -> None:
+    """Two changes that become certain at once are reported in the same order by every run."""
+    model = calibrated(RIGID, "wide")
+    space = Parameters.of(model, Context())
+    known = RecursivePosterior.begin(space, space.values(model), np.arange(2), np.eye(2))
+    names = [f"joint {k}" for k in (5, 2, 7, 1, 6, 3, 4)]
+    changes = tuple(_PastChange(("joint_zero", n), n, 0.0, 2, (0.0,)) for n in names)
+    assert list(Explanations((Branch(1.0, known, changes),)).places) == names

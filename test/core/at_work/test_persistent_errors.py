@@ -136,7 +136,7 @@ def test_shared_errors_are_as_in_a_whole_regression() -> None:
             common=rng.standard_normal((3, 2)), anew=(1,) if k == 5 else (),
         )  # fmt: skip
         for which in row.anew:
-            known = known.with_anew(which)
+            known = known.with_anew(which, np.eye(1))
         known = known.update(row)
         second = row.common[:, 1:]
         each = [second, 0.0 * second] if k < 5 else [0.0 * second, second]

@@ -60,7 +60,7 @@ def test_the_own_errors_of_poses_are_as_in_a_whole_regression() -> None:
             place=place,
         )  # fmt: skip
         if place not in met or pose == len(each):
-            known = known.at_new_place(place, own)
+            known = known.with_anew(known.common + 3 * place, own)
         met.add(place)
         known = known.update(row)
         whole.append(row.columns)

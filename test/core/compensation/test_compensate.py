@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import longarm_comp as la
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.result import Method, Prediction, Status
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from studies.many import compensate_arrays
@@ -177,6 +179,15 @@ def test_bad_and_unreachable_targets_are_answers(plant):
     assert "mm" in made.reason[2]
     assert np.isfinite(made.command).all()
     assert np.isfinite(made.ideal).all()
+
+
+def test_a_bad_target_is_an_answer_where_the_arm_has_play(twin):
+    """One such target among others ended all of them, as `ik.solve_many: target 0`."""
+    model = Model(twin, (Backlash(joint=2, width=2e-3),))
+    some = [model.tip(twin.mid), [np.nan, 0.0, 0.0], [9.0, 0.0, 0.0]]
+    found = la.compensate(model, some, frame="base")
+    assert found.status == (Status.SUCCESS, Status.BAD_TARGET, Status.UNREACHABLE)
+    assert "not finite" in found[1].reason
 
 
 def test_many_are_each_by_itself(plant):

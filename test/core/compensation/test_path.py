@@ -184,6 +184,13 @@ def test_a_path_that_begins_against_its_play_takes_it_up_first_and_gently(arm: A
     assert jerks[1] < 1.1 * jerks[0]
 
 
+def test_a_path_that_is_where_the_arm_stands_is_its_one_way_point(arm: Arm, model: Model) -> None:
+    """A goal of one point at 0 s: it failed with a ValueError about the shape of an array."""
+    found = follow(model, PlannedPath.of_joints(arm, np.zeros(1), arm.mid[None]))
+    np.testing.assert_array_equal(found.timed.joints, arm.mid[None])
+    assert found.notes == ()
+
+
 def test_a_path_of_many_way_points_says_what_single_targets_say(arm: Arm, model: Model) -> None:
     plan = plan_of(arm, 7)
     found = follow(model, plan)
