@@ -42,7 +42,7 @@ class Offer:
     fixed: bool = False
     site: str = ""
 
-    @property
+    @cached_property
     def column_numbers(self) -> tuple[int, ...]:
         """The numbers of all its columns."""
         return tuple(k for own in self.columns for k in own)
