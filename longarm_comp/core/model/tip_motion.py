@@ -209,7 +209,10 @@ def _sum(vectors: list[np.ndarray]) -> Vec:
 
 def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
     """Yield station, component of its twist (0 to 5) and change, for components that change."""
-    raised, lowered = (spatial.sum_twists(twists for _, twists in part) for part in end[:2])
+    raised, lowered = (
+        part[0][1] if len(part) == 1 else spatial.sum_twists(twists for _, twists in part)
+        for part in end[:2]
+    )
     for station in sorted({*raised, *lowered}):
         up = raised.get(station, spatial.ZERO_TWIST)
         down = lowered.get(station, spatial.ZERO_TWIST)
