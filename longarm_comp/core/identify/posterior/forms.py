@@ -19,6 +19,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import BETTER, OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
+from longarm_comp.core.identify.posterior.offer import ROUNDING
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 
@@ -103,9 +104,8 @@ def _search_scales(
         chances = np.exp(found - found.max())
         mean = chances @ grid / chances.sum()
         centre = np.clip(mean, grid.min(axis=0), grid.max(axis=0))  # rounding may leave the scale
-        looked = [
-            _set_scales(term, fields, point) for point in (centre, grid[int(np.argmax(found))])
-        ]
+        largest = grid[int(np.argmax(found >= found.max() - ROUNDING))]  # of equals the first
+        looked = [_set_scales(term, fields, point) for point in (centre, largest)]
         closer = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
             if now > best + BETTER:
@@ -181,6 +181,10 @@ def _list_tried_values(term: Term, field: str, candidates: Sequence[Candidate]) 
 
 
 def _nearest_values(value: float, values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Return the next smaller and next larger of sorted values; the first or last if none."""
-    low = max((v for v in values if v < value), default=values[0])
-    return low, min((v for v in values if v > value), default=values[-1])
+    """Return the next smaller and next larger of sorted values; the first or last if none.
+
+    One that differs by rounding alone is neither: beyond it lies half of what is to be searched.
+    """
+    alike = 1e-9 * (values[-1] - values[0])
+    low = max((v for v in values if v < value - alike), default=values[0])
+    return low, min((v for v in values if v > value + alike), default=values[-1])
