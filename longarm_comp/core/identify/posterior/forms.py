@@ -18,6 +18,7 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import BETTER, OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
 from longarm_comp.core.identify.posterior.offer import ROUNDING
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
@@ -145,13 +146,22 @@ class _Agreement:
         fitted = {t.key: t for t in fit.model.terms}
         rest = fit.residual + self._columns.shift_by([now, *(fitted[t.key] for t in moved)])
         self._rest = rest - self._columns.shift_by(moved) if moved else rest
+        # If the shift is proportional to the parameters, no form needs a derivative by each of them
+        self._is_linear = False
+        if isinstance(now, Effect):
+            whole, here = self._columns.shifts_of_whole([now])[0], self._columns.shift_by([now])
+            self._is_linear = bool(np.abs(whole - here).max() <= 1e-9 * np.abs(here).max())
 
     def __call__(self, then: Sequence[Term]) -> np.ndarray:
         """Return the (T,) agreement of T other forms of the term."""
         new = list({t.variant: t for t in then if t.variant not in self._known}.values())
-        self._columns.prior_columns(new)  # all at once: much faster
         if new:
-            rest = self._rest - np.stack([self._columns.shift_by([each]) for each in new])
+            if self._is_linear:
+                shifts = self._columns.shifts_of_whole(new)
+            else:
+                self._columns.prior_columns(new)  # all at once: much faster
+                shifts = np.stack([self._columns.shift_by([each]) for each in new])
+            rest = self._rest - shifts
             found = measure_agreement(self._fit, rest).tolist()
             self._known.update(zip((t.variant for t in new), found, strict=True))
         return np.array([self._known[t.variant] for t in then])
