@@ -53,7 +53,7 @@ class Offer:
         An offer that loses no place is returned unchanged. A single place of several is an offer of
         its own in the bank.
         """
-        left = sum(key not in held for key in self.keys)
+        left = len(self.keys) - len(held.intersection(self.keys))
         if left == len(self.keys):
             return self
         return None if left < 2 else self.without(held)
