@@ -32,10 +32,11 @@ def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
     """Stack the scalars of k items: each becomes (k, N), (k, 1), or 0 if it is 0 in all items."""
     made: list[Scalar] = []
     for each in zip(*items, strict=True):
-        if all(map(_zero, each)):
-            made.append(0.0)
+        sizes = [x.size for x in each if isinstance(x, np.ndarray)]
+        if not sizes:
+            made.append(0.0 if all(map(_zero, each)) else np.array(each, dtype=float)[:, None])
             continue
-        rows = np.empty((len(each), max(np.size(x) for x in each)))
+        rows = np.empty((len(each), max(sizes)))
         for row, x in zip(rows, each, strict=True):
             row[:] = x
         made.append(rows)

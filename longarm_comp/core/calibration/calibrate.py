@@ -191,8 +191,10 @@ def fit_stages(
             fitted = fit_model(whole, session, usual=usual)
         else:
             fitted = _settle_priors(whole, session, usual)
+            wide = [(s.identity, SIZES[-1]) for s in whole.slots if not s.parameter.unknown]
+            widest = dataclasses.replace(whole, beyond=tuple(wide))
             with contextlib.suppress(JobError):  # a part far off may show only if all may be
-                other = _settle_priors(_with_widest_priors(whole), session, usual)
+                other = _settle_priors(widest, session, usual)
                 more = _log_evidence(other) - _log_evidence(fitted)
                 if more > BETTER and is_size_determined(other):  # a smaller arm misses by less
                     fitted = other
@@ -212,12 +214,6 @@ def _settle_priors(model: Model, session: Session, usual: Mapping[str, float] | 
         model = dataclasses.replace(fitted.model, beyond=beyond)
         fitted = fit_model(model, session, usual=usual)
     return fitted
-
-
-def _with_widest_priors(model: Model) -> Model:
-    """Return the model with the widest prior (`SIZES[-1]`) for every parameter with a prior."""
-    slots = [s for s in model.slots if not s.parameter.unknown]
-    return dataclasses.replace(model, beyond=tuple((s.identity, SIZES[-1]) for s in slots))
 
 
 def _log_evidence(fit: ModelFit) -> float:

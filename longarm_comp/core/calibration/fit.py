@@ -121,13 +121,7 @@ def fit_together(
 def _fit_parts(
     parts: list[SessionProblem], close: float, own: Callable[[Slot], bool] = lambda slot: False
 ) -> list[ModelFit]:
-    """Find the joint posterior mode of all sessions by Gauss-Newton.
-
-    Args:
-        parts: the sessions.
-        close: the fit ends when a step is at most this many standard errors.
-        own: as in `fit_together`.
-    """
+    """Find the joint posterior mode of all sessions by Gauss-Newton, as `fit_together`."""
     problem = _JointProblem(parts, own)
     scale, centre, now = problem.scale, problem.centre, problem.start
     converged, step = False, 0
@@ -289,9 +283,12 @@ class _JointProblem:
         """Yield the values (p,) to try, in the order that `step_towards` describes."""
         if self.damping == 0.0:
             yield goal
-            aside = np.zeros(len(now))
+            aside, bend = np.zeros(len(now)), np.zeros(len(now))
             with contextlib.suppress(JobError):
-                bend = self._project_curvature(goal, now, near)
+                self._move_to(now, near)
+                for part in self.parts:
+                    step, scale = (x[part.own_places] for x in (goal - now, self.scale))
+                    bend[part.own_places] += part.project_curvature(step, scale, near)
                 aside = self._solve_within(gram, moment - bend) - goal
             for share in SHARES if self.knows_noise else SHARES[:1]:
                 yield np.clip(now + share * (goal - now) + share**2 * aside, *self.limits)
@@ -305,12 +302,3 @@ class _JointProblem:
     def _solve_within(self, gram: np.ndarray, moment: np.ndarray) -> np.ndarray:
         u = linear.solve_products(gram, moment, *self.bounds).u
         return np.clip(self.centre + u * self.scale, *self.limits)
-
-    def _project_curvature(self, goal: np.ndarray, now: np.ndarray, near: bool) -> np.ndarray:
-        """Return the change (p,) of the right side by half the second derivative along the step."""
-        self._move_to(now, near)
-        bend = np.zeros(len(now))
-        for part in self.parts:
-            step, scale = ((goal - now)[part.own_places], self.scale[part.own_places])
-            bend[part.own_places] += part.project_curvature(step, scale, near)
-        return bend

@@ -55,11 +55,17 @@ class FitColumns:
         whole = [t for n, t in enumerate(terms) if n not in free]
         new = {t.variant: t for t in whole if t.variant not in self._shifts}
         if new:
-            session, at = self._fitted.session, self._fitted.posture
-            found = compute_shifts(self.model, session, at, list(new.values()))
-            self._shifts.update(zip(new, np.moveaxis(found, -1, 0), strict=True))
+            self._shifts.update(zip(new, self.shifts_of_whole(list(new.values())), strict=True))
         fixed = sum(self._shifts[t.variant] for t in whole)
         return np.asarray(self._columns_of(slots) @ values + fixed)
+
+    def shifts_of_whole(self, terms: Sequence[Term]) -> np.ndarray:
+        """Return the change (T, N, d) of the predictions by each of T terms, m or rad.
+
+        The model does not hold them.  It is computed at once, not from the columns of parameters.
+        """
+        at = self._fitted.posture
+        return np.moveaxis(compute_shifts(self.model, self._fitted.session, at, terms), -1, 0)
 
     def marginal_without(
         self,

@@ -190,11 +190,8 @@ def _divide_rows(
     """Yield divisions of the rows into parts that are left out.
 
     Half of the weight is on parts of the joints' ranges, half on random parts, because targets are
-    at new and at known places.  If several points were touched, each of them is a part instead.
-
-    Args:
-        q: (N, n) joints.
-        places: (N,) name of each row's touched place, for a session of touches.
+    at new and at known places.  If several points were touched, each of them is a part instead:
+    `places` (N,) then holds their names.
 
     Yields:
         The number (N,) of each row's part, the weight of a row in this division, and whether the

@@ -180,8 +180,8 @@ _WIDE = 18.0
 
 def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return the log probability (same shape) of a unit normal variable between two bounds."""
-    flip = lower > -upper  # the smaller tail, where differences keep their digits
-    low, high = np.where(flip, -upper, lower), np.where(flip, -lower, upper)
+    # As of the mirrored interval, if its tail is the smaller one: differences keep their digits
+    low, high = np.minimum(lower, -upper), np.minimum(upper, -lower)
     mass = np.asarray(log_ndtr(high))
     near = high - low < _WIDE
     outside = np.exp(np.minimum(log_ndtr(low[near]) - mass[near], -1e-300))

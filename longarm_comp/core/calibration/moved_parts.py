@@ -96,13 +96,11 @@ def _worth_of_gross_errors(
     """Return the change of the Bayesian information criterion if the worst rows are gross errors.
 
     It is 0 or negative; a lower value means a better explanation.  Each gross error has a place of
-    its own, with as many parameters as equations.
+    its own, with as many parameters as the row has equations, (N,).
 
     Args:
         fitted: (N, d, p) orthonormal basis of what the parameters of the fit explain.
         residual: (N, d) whitened residual.
-        equations: (N,) number of measured channels of each row.
-        effective: number of parameters of the fit.
     """
     count, number, whole = len(residual), int(equations.sum()), float((residual**2).sum())
     left_over = np.eye(residual.shape[1]) - fitted @ fitted.transpose(0, 2, 1)
@@ -125,10 +123,6 @@ def _find_best_interval(falls: Falls, count: int) -> tuple[int, int]:
 
     An interval that starts with the first row is replaced by the rows after it, because they only
     show that a part moved between the two.
-
-    Args:
-        falls: function of `_falls_by_interval`.
-        count: number of rows.
     """
     cuts = np.unique(np.linspace(0, count, min(count, CUTS) + 1).astype(int))
     pairs = np.array([pair for pair in combinations(cuts, 2) if pair != (0, count)])

@@ -11,13 +11,7 @@ from scipy.special import expit, fdtri, log_ndtr, logsumexp, softmax
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.linear import (
-    BEFOREHAND,
-    MAD,
-    OUTLIER,
-    channel_means,
-    channel_medians,
-)
+from longarm_comp.core.calibration.linear import MAD, OUTLIER, channel_means, channel_medians
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.measurement import make_equations
@@ -34,8 +28,8 @@ RIGHT_WITHIN = 2.0
 EXCESS_WITHIN = 1e3
 """Largest scatter by other causes than the sensor, over the smallest that matters."""
 NEWTON_STEPS = 10
-MOST_STEPS = 60
-"""Largest number of steps if the noise and the size of the library's effects are both estimated."""
+STEPS, MOST_STEPS = 12, 60
+"""Largest number of steps to estimate the noise, and the size of the library's effects with it."""
 LEAST_ROWS = 12
 """Smallest number of rows to judge the shape of their scatter: two covariances of six numbers."""
 SHARES = np.linspace(0.0, 0.95, 20)
@@ -120,9 +114,8 @@ def repeat_scatter(model: Model, session: Session) -> tuple[np.ndarray, np.ndarr
     copy = ~np.isin(np.arange(len(seen)), first)
     values = np.where(copy[:, None], np.nan, values)
     scatter, share = _deviations_from_group(values, group.reshape(-1))
-    robust = (
-        MAD * channel_medians(np.abs(scatter)) / np.sqrt(np.maximum(channel_means(share), 1e-9))
-    )
+    freedom = np.sqrt(np.maximum(channel_means(share), 1e-9))
+    robust = MAD * channel_medians(np.abs(scatter)) / freedom
     kept = (np.nan_to_num(np.abs(scatter)) <= OUTLIER * np.maximum(robust, 1e-9)).all(axis=1)
     degrees = np.nansum(share[kept], axis=0)
     size = np.sqrt(np.nansum(scatter[kept] ** 2, axis=0) / np.maximum(degrees, 1e-9))
@@ -135,7 +128,7 @@ class SensorShare(NamedTuple):
     Attributes:
         share: its expected value.
         whole: probability that all of the residual is the sensor's.
-        sign: the sign of other causes, in words.
+        sign: in words, what shows other causes.
     """
 
     share: float
@@ -165,13 +158,9 @@ def share_of_sensor(fit: ModelFit) -> SensorShare:
 def _share_by_shape(residual: np.ndarray, by_tip: np.ndarray) -> SensorShare:
     """Estimate the sensor's share by the shape of the scatter.
 
-    The residual is normal with a constant covariance either in the frame of the measurements, as
-    for a sensor, or in the frame of the tip. In the latter case the sensor's part is the part that
-    is equal in all directions.
-
-    Args:
-        residual: (N, 3) in the frame of the measurements, m.
-        by_tip: (N, 3) the same in the frame of the tip, m.
+    The residual (N, 3), m, is normal with a constant covariance either in the frame of the
+    measurements, as for a sensor, or in the frame of the tip (`by_tip`). In the latter case the
+    sensor's part is the part that is equal in all directions.
     """
     logs, spread = [], np.zeros(3)
     for each in (residual, by_tip):
@@ -238,9 +227,9 @@ def _share_by_groups(residual: np.ndarray) -> SensorShare:
 
 
 def _share_by_statement(fit: ModelFit) -> SensorShare:
-    """Estimate the sensor's share by the noise that the rows state.
+    """Estimate the sensor's share by the noise that the rows state; 1 if they state none.
 
-    Other causes may be of any size. The share is 1 if the rows state no noise.
+    Other causes may be of any size.
     """
     sign = "is scatter far beyond the noise that the rows state"
     stated = [fit.session.claimed_sigma.get(name, math.nan) for name in fit.session.channels]
@@ -263,14 +252,9 @@ def number_sightings(rows: Session) -> np.ndarray:
 
 
 def _deviations_from_group(values: np.ndarray, group: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the deviations (N, d) from the middle of each row's group, and degrees of freedom.
+    """Return the deviations (N, d) from the middle of each row's group, and each value's freedom.
 
-    The degrees of freedom (N, d) are those that each value contributes.  Both are NaN where a
-    channel was not measured; the deviations also where it was measured only once in the group.
-
-    Args:
-        values: (N, d); NaN where not measured.
-        group: (N,) number of each row's group.
+    Both are NaN where values (N, d) are, the deviations also if a group has no second value.
     """
     scatter, share = np.full(values.shape, np.nan), np.full(values.shape, np.nan)
     for g in np.unique(group):
@@ -286,9 +270,7 @@ def _deviations_from_group(values: np.ndarray, group: np.ndarray) -> tuple[np.nd
     return scatter, share
 
 
-def noise_from_residual(
-    fit: ModelFit, extra: np.ndarray, steps: int = 12
-) -> tuple[NoiseEstimate, np.ndarray]:
+def noise_from_residual(fit: ModelFit, extra: np.ndarray) -> tuple[NoiseEstimate, np.ndarray]:
     """Estimate the noise from the residual of a linear fit with all candidates at once.
 
     It is the noise of highest evidence: the degrees of freedom of a channel are its rows less the
@@ -301,7 +283,6 @@ def noise_from_residual(
     Args:
         fit: the model so far.
         extra: (N, d, k) prior-scaled columns of all candidates.
-        steps: largest number of steps; `MOST_STEPS` with more columns than equations.
 
     Returns:
         The noise, and the weights (N,) of the rows with which it was found.
@@ -315,7 +296,7 @@ def noise_from_residual(
     added = np.arange(columns.shape[-1]) >= fit.columns.shape[-1]
     ends = np.cumsum([len(block.channels) for block in fit.session.blocks])[:-1]
     few = len(added) > (weights > 0).sum() * len(sigma)
-    for _ in range(MOST_STEPS if few else steps):
+    for _ in range(MOST_STEPS if few else STEPS):
         if not np.array_equal(weights, used):
             rows = channels[:, weights > 0] * np.sqrt(weights[weights > 0])[:, None]
             products, used = np.stack([part.T @ part for part in rows]), weights
@@ -336,7 +317,7 @@ def noise_from_residual(
         square = (even[weights > 0] ** 2).sum(0)
         parts = np.split(_likeliest_noise(square, degrees) ** 2, ends)
         alike = np.concatenate([np.full(len(part), np.median(part)) for part in parts])
-        new = _likeliest_noise(square + BEFOREHAND * alike, degrees + BEFOREHAND)
+        new = _likeliest_noise(square + linear.BEFOREHAND * alike, degrees + linear.BEFOREHAND)
         new = np.where(held[weights > 0].any(0), new, np.inf)
         shrunk = 1.0
         if few:  # size of the library's effects in their priors' standard deviations

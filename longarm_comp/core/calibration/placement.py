@@ -119,11 +119,7 @@ def _replace_term(model: Model, old: Effect, new: Effect) -> Model:
 
 
 def _median_misfit(model: Model, rows: Session) -> float:
-    """Return the median error of the rows, m.
-
-    If only orientations were measured, it is the median angle (rad) between the marker's rotation
-    on the tip and its mean.
-    """
+    """Return the median error of the rows, m; with orientations alone, rad from their mean."""
     if rows.placed.any():
         return median_distance(compute_tip_errors(model, rows))
     axes = model.pose(rows.q, rows.context())[:, :3, :3]
@@ -226,10 +222,7 @@ def _place_sensor(term: SensorPlace, model: Model, session: Session) -> SensorPl
 
 
 def _turn_axes(term: TipOrientation, model: Model, session: Session) -> TipOrientation:
-    """Set the rotation of a tracked body to the robust mean rotation from predicted to measured.
-
-    It is in the tip's frame.
-    """
+    """Set a tracked body's rotation in the tip's frame to the robust mean of the rows."""
     mine = session.has_orientation.copy()
     for label, value in (("marker", term.marker), ("sensor", term.sensor)):
         if value:

@@ -87,7 +87,6 @@ class SessionProblem:
             self.update_design()
 
     def _predict_rows(self, at: Posture) -> None:
-        """Compute the residual of the present model, with the arm at a posture."""
         self.posture = at
         self.residual = make_equations(self.model, self.seen, (), at=at).residual
         self._check_finite(self.residual)
@@ -176,20 +175,18 @@ class SessionProblem:
                 known = self.noise if step > 2 else None
                 self.weights = self.weights * mark_inliers(even, self.seen.measured, known)
         if self.sigma is None:
-            self.noise = self._pool_noise(self.estimate_noise())
+            self.noise = self._pool_noise()
 
     def estimate_noise(self) -> np.ndarray:
         """Return the noise (d,) of every channel in the present residual, m or rad."""
         return estimate_noise(self.residual, self.weights, self.effective, self.seen.measured)
 
-    def _pool_noise(self, sigma: np.ndarray) -> np.ndarray:
+    def _pool_noise(self) -> np.ndarray:
         """Return the noise (d,) with one value for all channels of a kind and sensor.
 
         If the usual noise of the kind is known, it counts as `BEFOREHAND` further equations.
-
-        Args:
-            sigma: (d,) noise of each channel.
         """
+        sigma = self.estimate_noise()
         pooled = np.full(len(sigma), np.inf)
         free = degrees_of_freedom(self.weights, self.effective, self.seen.measured)
         start = 0

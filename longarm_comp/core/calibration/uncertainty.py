@@ -142,36 +142,15 @@ def _columns_with_absent(fit: ModelFit, absent: Sequence[Effect]) -> np.ndarray:
     return np.concatenate([fit.columns, further], axis=-1)
 
 
-def _usual_drift(fit: ModelFit) -> np.ndarray:
-    """Return the usual drift (3,) of the measuring device during the session, m.
-
-    Without a recorded time the session counts as one hour.  The drift is nearly 0 if the model
-    holds an effect that depends on time alone.
-    """
-    held = any(term.inputs and {CLOCK, ORDER}.issuperset(term.inputs) for term in fit.model.terms)
-    hours = 1.0 if fit.session.t_s is None else float(np.ptp(fit.session.t_s)) / 3600.0
-    rates = [p.prior for p in CameraDrift().parameters(fit.model.arm)]
-    return np.maximum(np.array(rates) * (0.0 if held else hours), 1e-12)
-
-
-def _drift_columns(fit: ModelFit) -> np.ndarray:
-    """Return the change (N, d, 3) of the channels by a steady drift along each of three axes.
-
-    It is per metre of drift of the measuring device from the first row to the last.
-    """
-    rows = fit.session
-    pull = np.eye(3) if rows.plain else make_equations(fit.model, rows, (), at=fit.posture).pull
-    return np.asarray(pull * (rows.share_of_time - rows.share_of_time.mean())[:, None, None])
-
-
 def _covariance_with_absent(
     fit: ModelFit, absent: Sequence[Effect], alike: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Compute the covariance of the fitted parameters together with k absent ones.
 
     The prior of every compliance is at least `YIELDS` times its usual one, also if the fit had a
-    narrower prior.  The prior of the drift is that of `CameraDrift`.  If the rows then prefer other
-    values than the model's, the squared differences are added.
+    narrower prior.  The prior of the drift is that of `CameraDrift` over the session; without a
+    recorded time, over an hour.  If the rows then prefer other values than the model's, the squared
+    differences are added.
 
     Args:
         absent: elastic effects that the fit does not hold.
@@ -182,7 +161,7 @@ def _covariance_with_absent(
         The covariance (p + k, p + k), and the steady drift (3,), m from the first row to the last,
         that the rows prefer.
     """
-    arm, count = fit.model.arm, len(fit.slots)
+    arm, rows, count = fit.model.arm, fit.session, len(fit.slots)
     slots = (*fit.slots, *slots_of(arm, absent))
     usual = prior_widths(slots_of(arm, [*fit.model.terms, *absent]))
     elastic = np.array([s.owner.elastic for s in slots])
@@ -190,8 +169,14 @@ def _covariance_with_absent(
     wider = elastic & (held < YIELDS * usual)
     width = np.where(wider, YIELDS * usual, math.sqrt(alike) * held)
     values = np.concatenate([fit.model.values, np.zeros(len(slots) - count)])
-    drifts = _usual_drift(fit)
-    columns = [_columns_with_absent(fit, absent) * width, _drift_columns(fit) * drifts]
+    # The usual drift during the session, m; nearly 0 if an effect of time alone is in the model
+    held_drift = any(t.inputs and {CLOCK, ORDER}.issuperset(t.inputs) for t in fit.model.terms)
+    hours = 1.0 if rows.t_s is None else float(np.ptp(rows.t_s)) / 3600.0
+    rates = np.array([p.prior for p in CameraDrift().parameters(arm)])
+    drifts = np.maximum(rates * (0.0 if held_drift else hours), 1e-12)
+    pull = np.eye(3) if rows.plain else make_equations(fit.model, rows, (), at=fit.posture).pull
+    since_mean = (rows.share_of_time - rows.share_of_time.mean())[:, None, None]
+    columns = [_columns_with_absent(fit, absent) * width, np.asarray(pull * since_mean) * drifts]
     white = fit.whiten_columns(np.concatenate(columns, axis=-1))
     width, values = np.append(width, drifts), np.append(values, np.zeros(3))
     asked = white.T @ fit.whiten_columns(fit.residual[..., None])[:, 0] / alike - values / width

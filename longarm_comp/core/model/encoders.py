@@ -7,7 +7,7 @@ the joint's own axis, so readings need no physics of their own.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.posture import Chain, Twists
@@ -20,7 +20,7 @@ _BEFORE: Mapping[str, frozenset[str]] = {
 }
 """By place of an encoder, the parts of the drive whose effects it sees."""
 
-Parts = Iterable[tuple[Effect, Twists]]
+Parts = Sequence[tuple[Effect, Twists]]
 """Effects, each with its twists by station."""
 
 

@@ -2,15 +2,14 @@
 
 To predict, the effects' twists are composed inside the chain, in passes, so that every effect
 uses the loads of the sagged arm (Eq. 1-4).  To explain, Eq. (5) is applied to the change of twist
-per unit of a parameter, which gives the parameter's column of the design matrix.  This module
-names no effect.
+per unit of a parameter.  This module names no effect.
 """
 
 from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -22,45 +21,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
-from longarm_comp.core.effects.effect import Bias, Effect, Parameter
-from longarm_comp.core.model.encoders import Parts
+from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.model.slots import Slot as Slot  # importers find both here
+from longarm_comp.core.model.slots import slots_of as slots_of
 from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, move_tip, stack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
-
-
-@dataclass(frozen=True)
-class Slot:
-    """One parameter of a model: its term and the parameter of that term."""
-
-    term: int
-    owner: Effect | Bias
-    parameter: Parameter
-
-    @cached_property
-    def identity(self) -> tuple[object, ...]:
-        """Key of the parameter: effect, place, form and name."""
-        return (self.owner.name, *self.owner.placement.items(), self.parameter.name)
-
-    @property
-    def label(self) -> str:
-        """A name for people, such as ``joint_compliance / joint 2 / compliance``."""
-        return f"{self.owner.name} / {self.owner.place} / {self.parameter.name}"
-
-    @property
-    def value(self) -> float:
-        return float(getattr(self.owner, self.parameter.name))
-
-    @property
-    def step(self) -> float:
-        """A small change of the parameter, for differences: 1 % of its prior."""
-        return 0.01 * self.parameter.prior
-
-    @cached_property
-    def ends(self) -> tuple[Any, Any]:
-        """The term with the parameter a step higher, and with it a step lower."""
-        name, term = self.parameter.name, self.owner
-        up, down = self.value + self.step, self.value - self.step
-        return term.with_values({name: up}), term.with_values({name: down})
 
 
 @dataclass(frozen=True)
@@ -127,23 +92,23 @@ class Model:
     @cached_property
     def slots(self) -> tuple[Slot, ...]:
         """All free parameters, in the order of `values` and of the columns."""
-        return tuple(self._within(slot) for slot in slots_of(self.arm, self.terms))
+        beyond, made = dict(self.beyond), []
+        for slot in slots_of(self.arm, self.terms):
+            p, owner = slot.parameter, slot.owner
+            share = beyond.get(slot.identity, 1.0) if beyond else 1.0
+            if owner.geometry and not owner.passing and not p.unknown:
+                share *= self.tolerances
+            if share != 1.0:
+                p = dataclasses.replace(p, prior=p.prior * share)
+                slot = dataclasses.replace(slot, parameter=p)
+            made.append(slot)
+        return tuple(made)
 
     def uncertain_slots(self, known: ModelUncertainty) -> tuple[Slot, ...]:
         """Return the arm's parameters that an uncertainty covers, absent effects included."""
         held = {term.key for term in self.effects}
         slots = (*self.slots, *slots_of(self.arm, [t for t in known.absent if t.key not in held]))
         return tuple(s for s in slots if isinstance(s.owner, Effect) and s.identity in known.row)
-
-    def _within(self, slot: Slot) -> Slot:
-        """Return the parameter with the prior that this model gives it."""
-        p, owner = slot.parameter, slot.owner
-        share = dict(self.beyond).get(slot.identity, 1.0)
-        if owner.geometry and not owner.passing and not p.unknown:
-            share *= self.tolerances
-        if share == 1.0:
-            return slot
-        return dataclasses.replace(slot, parameter=dataclasses.replace(p, prior=p.prior * share))
 
     @cached_property
     def values(self) -> np.ndarray:
@@ -153,14 +118,12 @@ class Model:
     @cached_property
     def rigid(self) -> Model:
         """The model without deflection: its calibrated geometry alone."""
-        kept = tuple(e for e in self.effects if e.geometry)
-        return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
+        return self._keep(lambda term: isinstance(term, Bias) or term.geometry)
 
     @cached_property
     def commandable(self) -> Model:
         """The model without effects that no command can correct, such as a servo's rounding."""
-        kept = tuple(e for e in self.effects if e.continuous)
-        return self if len(kept) == len(self.effects) else dataclasses.replace(self, effects=kept)
+        return self._keep(lambda term: isinstance(term, Bias) or term.continuous)
 
     @cached_property
     def memo(self) -> dict[str, Any]:
@@ -177,21 +140,16 @@ class Model:
         )
 
     def with_missing(self, terms: Iterable[Effect | Bias]) -> Model:
-        """Return a copy with those of the terms that it lacks.
-
-        Of several terms with the same name and place the first is taken.
-        """
-        known = {(t.name, t.where) for t in self.terms}
-        new: dict[tuple[str, str], Effect | Bias] = {}
+        """Return a copy with those of the terms whose name and place it lacks, each once."""
+        held = {(t.name, t.where): t for t in self.terms}
+        known = len(held)
         for term in terms:
-            if (term.name, term.where) not in known:
-                new.setdefault((term.name, term.where), term)
-        return self.plus(*new.values())
+            held.setdefault((term.name, term.where), term)
+        return self.plus(*list(held.values())[known:])
 
     def lasting(self) -> Model:
         """Return a copy without facts of one session, such as the place of a touched point."""
-        kept = [t for t in self.terms if not t.passing]
-        return self if len(kept) == len(self.terms) else self.with_terms(kept)
+        return self._keep(lambda term: not term.passing)
 
     def without(self, places: Container[tuple[str, str]]) -> Model:
         """Return a copy without its terms at some places (`Effect.key`)."""
@@ -211,7 +169,11 @@ class Model:
 
     def told_by(self, context: Context) -> Model:
         """Return the model without the terms that need a circumstance that the context lacks."""
-        kept = [term for term in self.terms if not term.missing(context)]
+        return self._keep(lambda term: not term.missing(context))
+
+    def _keep(self, wanted: Callable[[Effect | Bias], bool]) -> Model:
+        """Return the model with the wanted terms only: itself if it holds no other."""
+        kept = [term for term in self.terms if wanted(term)]
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
@@ -225,7 +187,6 @@ class Model:
         To start from its loads saves one load pass.
 
         Args:
-            known: the posture of the similar model.
             close: the models differ so little that one load pass is enough.
         """
         if any(e.changes_loads for e in self.effects):
@@ -257,17 +218,13 @@ class Model:
 
     @property
     def load_passes(self) -> int:
-        """The number of load passes of `posture`.
-
-        It is 1 if no effect depends on the loads, and 0 if there is no effect.
-        """
+        """The number of load passes: 1 if no effect depends on loads, 0 if there is no effect."""
         return self.passes if any(e.loaded for e in self.effects) else min(1, len(self.effects))
 
     def posture_without_sag(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the arm at q with its base placed, but no other effect; load passes begin here."""
-        return self.posture_with_twists(
-            q, context, spatial.sum_twists(self._list_placements(context))
-        )
+        placed = spatial.sum_twists(self._list_placements(context))
+        return self.posture_with_twists(q, context, placed)
 
     def posture_without_frames(self, q: Sequence[Scalar], context: Context) -> Posture:
         """Return the joints at q without frames and loads, for effects that depend on neither."""
@@ -339,7 +296,7 @@ class Model:
         """Return the predicted position measurement and its derivative by every parameter.
 
         Args:
-            posture: the arm at N poses, from `posture`.
+            posture: the arm at N poses.
             slots: the parameters; all of them by default.
 
         Returns:
@@ -377,12 +334,12 @@ class Model:
 
         To first order, by Eq. (5). It is meant for terms without free parameters.
         """
-        ends: list[TwistChange | Reseen] = []
-        for term in terms:
-            if isinstance(term, Bias):
-                ends.append(Reseen(self.plus(term), self, 1.0, term.sees))
-            else:
-                ends.append(TwistChange([(term, term.twists(posture))], [], 1.0))
+        ends = [
+            Reseen(self.plus(term), self, 1.0, term.sees)
+            if isinstance(term, Bias)
+            else TwistChange([(term, term.twists(posture))], [], 1.0)
+            for term in terms
+        ]
         return self._move_tip(posture, ends, turns)
 
     def _move_tip(
@@ -400,23 +357,17 @@ class Model:
             none = {p.name: 0.0 for p in slot.owner.parameters(self.arm)}
             slot = dataclasses.replace(slot, owner=slot.owner.with_values(none))
         model = self._with_changed(slot.owner, slot.ends[0])
-        raised = model._under_load(model._weigh_masses(posture))
-        return TwistChange(raised, self._under_load(posture), 1.0 / slot.step)
-
-    def _under_load(self, posture: Posture) -> Parts:
-        """Return the twists that depend on the loads."""
-        return [(e, e.twists(posture)) for e in self.effects if e.loaded or e.changes_loads]
+        raised, here = (
+            [(e, e.twists(at)) for e in of.effects if e.loaded or e.changes_loads]
+            for of, at in ((model, model._weigh_masses(posture)), (self, posture))
+        )
+        return TwistChange(raised, here, 1.0 / slot.step)
 
     def _with_changed(self, term: Effect | Bias, to: Effect | Bias) -> Model:
         """Return a copy with a term changed, which is added if the model does not hold it."""
-        terms = [to if t is term else t for t in self.terms]
-        return self.with_terms(terms if any(t is to for t in terms) else [*terms, to])
-
-
-def slots_of(arm: Arm, terms: Sequence[Effect | Bias]) -> tuple[Slot, ...]:
-    """Return the free parameters of some terms."""
-    every = ((t, term, p) for t, term in enumerate(terms) for p in term.parameters(arm))
-    return tuple(Slot(t, term, p) for t, term, p in every if p.prior > 0)
+        if all(t is not term for t in self.terms):
+            return self.plus(to)
+        return self.with_terms([to if t is term else t for t in self.terms])
 
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:

@@ -51,12 +51,10 @@ def store_term(
         ends: 95 % intervals by parameter.
         origin: where it is from.
     """
-    parameters = {
-        p.name: StoredValue(
-            value=float(getattr(term, p.name)), unit=p.unit, ci95=(ends or {}).get(p.name)
-        )
-        for p in term.parameters(arm)
-    }
+    ends, parameters = ends or {}, {}
+    for p in term.parameters(arm):
+        value = float(getattr(term, p.name))
+        parameters[p.name] = StoredValue(value=value, unit=p.unit, ci95=ends.get(p.name))
     return StoredTerm(
         effect=term.name,
         where=term.where,

@@ -95,7 +95,7 @@ def store_uncertainty(model: Model) -> StoredUncertainty | None:
         frame_m2=known.frame.tolist(),
         circumstances=dict(known.circumstances),
         absent=[StoredTerm(effect=t.name, where=t.where, form=t.placement) for t in known.absent],
-        domain=_store_domain(known.domain),
+        domain=None if known.domain is None else _store_domain(known.domain),
         alternatives=[_store_alternative(a, held, model.arm) for a in known.alternatives],
     )
 
@@ -149,10 +149,7 @@ def restore_uncertainty(
     )
 
 
-def _store_domain(known: RowDomain | None) -> StoredDomain | None:
-    """Return the stored form of where the rows stood."""
-    if known is None:
-        return None
+def _store_domain(known: RowDomain) -> StoredDomain:
     span = np.where(np.isfinite(known.span), known.span, 0.0)
     places = [encode_numbers(q) for q in known.q.T]
     return StoredDomain(places=places, span=span.tolist(), amid=known.amid)
@@ -162,16 +159,20 @@ def _restore_domain(given: StoredDomain | None, model: Model, where: str) -> Row
     """Return where the rows stood; None for a file of an earlier version, which does not say it."""
     if given is None:
         return None
-    n = model.arm.n
-    try:
-        q = np.array([decode_numbers(line) for line in given.places]).T
-    except ValueError:
-        q = np.zeros((0, 0))
+    n, q = model.arm.n, _decode_lines(given.places).T
     if q.ndim != 2 or not len(q) or q.shape[1] != n or len(given.span) != n:
         allowed = f"a line and a range for each of {n} joints, base 64 of as many 32-bit numbers"
         raise InputError(where, "uncertainty.domain", f"{len(given.places)} lines", allowed)
     span = np.array(given.span)
     return RowDomain(q, np.where(span > 0.0, span, np.inf), given.amid)
+
+
+def _decode_lines(lines: list[str]) -> np.ndarray:
+    """Return the numbers of lines of equal length, (K, k), or (0, 0) if a line holds none."""
+    try:
+        return np.array([decode_numbers(line) for line in lines])
+    except ValueError:
+        return np.zeros((0, 0))
 
 
 def _store_alternative(
@@ -189,10 +190,7 @@ def _store_alternative(
 def _restore_alternative(given: StoredAlternative, model: Model, where: str) -> Alternative:
     terms = tuple(restore_term(entry, model.arm, where) for entry in given.terms)
     slots = (*model.slots, *slots_of(model.arm, terms))
-    try:
-        moves = np.array([decode_numbers(line) for line in given.moves])
-    except ValueError:
-        moves = np.zeros((0, 0))
+    moves = _decode_lines(given.moves)
     if moves.ndim != 2 or moves.shape[1] != len(slots):
         allowed = f"lines of base 64 of {len(slots)} 32-bit numbers, one a parameter"
         raise InputError(where, "uncertainty.alternatives", f"{len(given.moves)} lines", allowed)

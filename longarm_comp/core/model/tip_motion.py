@@ -95,20 +95,20 @@ class TipMotion:
 
     def point(self, kind: str = "position") -> tuple[np.ndarray, np.ndarray]:
         """Return the reported point (N, 3) in m and its derivative (N, 3, p)."""
-        seen = self.model.seen(self.frame.p, self.context, kind)
-        gain = None if seen is self.frame.p else self._report_of_shift(kind)
-        blocks = [self._point_change(change, kind, gain) for change in self.changes]
+        point, context = self.frame.p, self.context
+        seen = self.model.seen(point, context, kind)
+        gain = None if seen is point else self._report_of_shift(kind)
+        blocks = []
+        for change in self.changes:
+            if isinstance(change, _Moved):
+                block = change.shift if gain is None else gain.rotate(change.shift)
+            elif kind in change.sees:
+                up, down = (m.seen(point, context, kind) for m in (change.raised, change.lowered))
+                block = spatial.scale(change.per, spatial.sub(up, down))
+            else:
+                block = spatial.ZERO
+            blocks.append(block)
         return _together(stack(seen), blocks)
-
-    def _point_change(self, change: _Moved | Reseen, kind: str, gain: Frame | None) -> Vec:
-        if isinstance(change, Reseen):
-            if kind not in change.sees:
-                return spatial.ZERO
-            up, down = (
-                m.seen(self.frame.p, self.context, kind) for m in (change.raised, change.lowered)
-            )
-            return spatial.scale(change.per, spatial.sub(up, down))
-        return change.shift if gain is None else gain.rotate(change.shift)
 
     def _report_of_shift(self, kind: str) -> Frame:
         """Return the derivative of the reported point by each coordinate of the tip, as axes."""
@@ -152,7 +152,17 @@ class TipMotion:
         """
         seen = self.model.seen_axes(self.frame, self.context)
         gain = [self._report_of_turn(axis) for axis in IDENTITY[:3]]
-        blocks = [self._turn(change, gain) for change in self.changes]
+        blocks = []
+        for change in self.changes:
+            block: Vec = spatial.ZERO
+            if isinstance(change, _Moved):
+                turned = [spatial.scale(w, g) for w, g in zip(change.turn, gain, strict=True)]
+                block = spatial.add(spatial.add(turned[0], turned[1]), turned[2])
+            elif "orientation" in change.sees:
+                models = change.raised, change.lowered
+                ends = [model.seen_axes(self.frame, self.context) for model in models]
+                block = spatial.scale(change.per, spatial.small_rotation(ends[0], ends[1]))
+            blocks.append(block)
         rotation = seen.matrix()[..., :3, :3]
         return rotation, _together(stack(self.frame.p), blocks)[1]
 
@@ -167,15 +177,6 @@ class TipMotion:
             tip = Frame(n, o, a, self.frame.p)
             ends.append(self.model.seen_axes(tip, self.context))
         return spatial.scale(0.5 / _H, spatial.small_rotation(ends[0], ends[1]))
-
-    def _turn(self, change: _Moved | Reseen, gain: list[Vec]) -> Vec:
-        if isinstance(change, _Moved):
-            turned = [spatial.scale(w, g) for w, g in zip(change.turn, gain, strict=True)]
-            return spatial.add(spatial.add(turned[0], turned[1]), turned[2])
-        if "orientation" not in change.sees:
-            return spatial.ZERO
-        ends = [s.seen_axes(self.frame, self.context) for s in (change.raised, change.lowered)]
-        return spatial.scale(change.per, spatial.small_rotation(ends[0], ends[1]))
 
 
 def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: bool) -> list[_Moved]:
@@ -197,19 +198,17 @@ def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: boo
     for each in changes:
         shifts = [by * units[station][k] for station, k, by in each]
         turned = [by * units[station][k - 3] for station, k, by in each if turns and k >= 3]
-        made.append(_Moved(_sum(shifts), _sum(turned)))
+        summed = (tuple(sum(v[1:], v[0])) if v else spatial.ZERO for v in (shifts, turned))
+        made.append(_Moved(*summed))  # type: ignore[arg-type]
     return made
-
-
-def _sum(vectors: list[np.ndarray]) -> Vec:
-    if not vectors:
-        return spatial.ZERO
-    return tuple(sum(vectors[1:], vectors[0]))  # type: ignore[return-value]
 
 
 def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
     """Yield station, component of its twist (0 to 5) and change, for components that change."""
-    raised, lowered = (spatial.sum_twists(twists for _, twists in part) for part in end[:2])
+    raised, lowered = (
+        part[0][1] if len(part) == 1 else spatial.sum_twists(twists for _, twists in part)
+        for part in end[:2]
+    )
     for station in sorted({*raised, *lowered}):
         up = raised.get(station, spatial.ZERO_TWIST)
         down = lowered.get(station, spatial.ZERO_TWIST)

@@ -92,3 +92,20 @@ def test_a_form_at_the_end_of_its_scale_stays_on_it() -> None:
         draw = np.random.default_rng(seed)
         found = _search_scales(term, grid, lambda terms, d=draw: 9.0 * d.random(len(terms)))
         assert all(low <= getattr(found, f) <= high for f, (low, high) in scales.items())
+
+
+def test_rounding_of_a_mean_hides_no_half_of_the_search() -> None:
+    """A mean of equal values was a rounding beside them, and then one side was not searched."""
+    term = Backlash(joint=1, gate=0.9, blend=0.1)
+    blends = np.linspace(0.02, 0.08, 7)  # without influence
+    for start in np.random.default_rng(0).uniform(0.1, 0.5, 40):
+        gates = start + 0.05 * np.arange(5)
+        grid = np.array([[gate, blend] for gate in gates for blend in blends])
+        for best in (gates[2] - 0.015, gates[2] + 0.015):
+            found = _search_scales(
+                term,
+                grid,
+                lambda terms, b=best: np.array([-1e6 * (t.gate - b) ** 2 for t in terms]),
+            )
+            assert isinstance(found, Backlash)
+            assert found.gate == pytest.approx(best, abs=0.003)

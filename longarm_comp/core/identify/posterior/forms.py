@@ -11,7 +11,6 @@ from __future__ import annotations
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence
-from functools import partial
 
 import numpy as np
 
@@ -19,7 +18,9 @@ from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import BETTER, OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
+from longarm_comp.core.identify.posterior.offer import ROUNDING
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
 
@@ -67,7 +68,7 @@ def refine_form(
         each = [Candidate(term.name, (t,)) for t in terms]
         return evidence_of_each(fit, marginal, each)
 
-    agree = partial(_agree_by_form, fit, term, moved)
+    agree = _Agreement(fit, term, moved)
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
@@ -104,9 +105,8 @@ def _search_scales(
         chances = np.exp(found - found.max())
         mean = chances @ grid / chances.sum()
         centre = np.clip(mean, grid.min(axis=0), grid.max(axis=0))  # rounding may leave the scale
-        looked = [
-            _set_scales(term, fields, point) for point in (centre, grid[int(np.argmax(found))])
-        ]
+        largest = grid[int(np.argmax(found >= found.max() - ROUNDING))]  # of equals the first
+        looked = [_set_scales(term, fields, point) for point in (centre, largest)]
         closer = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
             if now > best + BETTER:
@@ -120,36 +120,51 @@ def _search_scales(
     return here if best > least else term
 
 
-def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
-    """Return the log likelihood of all rows, up to a constant; outliers are included.
+def measure_agreement(fit: ModelFit, residual: np.ndarray) -> np.ndarray:
+    """Return the log likelihood (...) of all rows, up to a constant; outliers are included.
 
     No row counts more than a row at the limit of an outlier.
 
     Args:
         fit: gives the noise of the channels.
-        residual: (N, d) measured - predicted by some model, m or rad.
+        residual: (..., N, d) measured - predicted by some models, m or rad.
     """
     white = np.nan_to_num(residual / (fit.stated_noise_ratio(fit.session)[:, None] * fit.sigma))
-    return float(-0.5 * np.minimum((white**2).sum(axis=1), OUTLIER**2).sum())
+    return np.asarray(-0.5 * np.minimum((white**2).sum(axis=-1), OUTLIER**2).sum(axis=-1))
 
 
-def _agree_by_form(
-    fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]
-) -> np.ndarray:
-    """Return the (T,) `measure_agreement` of the rows for T other forms of a term.
+class _Agreement:
+    """The `measure_agreement` of the rows for other forms of a term; each is computed once.
 
     Args:
         now: the term as it is in the model.
         moved: other terms of the model, in better forms that were found since the fit.
-        then: the T other forms.
     """
-    columns = FitColumns(fit)
-    columns.prior_columns(then)  # all at once: much faster
-    fitted = {t.key: t for t in fit.model.terms}
-    rest = fit.residual + columns.shift_by([now, *(fitted[t.key] for t in moved)])
-    if moved:
-        rest = rest - columns.shift_by(moved)
-    return np.array([measure_agreement(fit, rest - columns.shift_by([each])) for each in then])
+
+    def __init__(self, fit: ModelFit, now: Term, moved: Sequence[Term]) -> None:
+        self._fit, self._columns, self._known = fit, FitColumns(fit), dict[object, float]()
+        fitted = {t.key: t for t in fit.model.terms}
+        rest = fit.residual + self._columns.shift_by([now, *(fitted[t.key] for t in moved)])
+        self._rest = rest - self._columns.shift_by(moved) if moved else rest
+        # If the shift is proportional to the parameters, no form needs a derivative by each of them
+        self._is_linear = False
+        if isinstance(now, Effect):
+            whole, here = self._columns.shifts_of_whole([now])[0], self._columns.shift_by([now])
+            self._is_linear = bool(np.abs(whole - here).max() <= 1e-9 * np.abs(here).max())
+
+    def __call__(self, then: Sequence[Term]) -> np.ndarray:
+        """Return the (T,) agreement of T other forms of the term."""
+        new = list({t.variant: t for t in then if t.variant not in self._known}.values())
+        if new:
+            if self._is_linear:
+                shifts = self._columns.shifts_of_whole(new)
+            else:
+                self._columns.prior_columns(new)  # all at once: much faster
+                shifts = np.stack([self._columns.shift_by([each]) for each in new])
+            rest = self._rest - shifts
+            found = measure_agreement(self._fit, rest).tolist()
+            self._known.update(zip((t.variant for t in new), found, strict=True))
+        return np.array([self._known[t.variant] for t in then])
 
 
 def _set_scales(term: Term, fields: Sequence[str], values: np.ndarray) -> Term:
@@ -176,6 +191,10 @@ def _list_tried_values(term: Term, field: str, candidates: Sequence[Candidate]) 
 
 
 def _nearest_values(value: float, values: Sequence[float] | np.ndarray) -> tuple[float, float]:
-    """Return the next smaller and next larger of sorted values; the first or last if none."""
-    low = max((v for v in values if v < value), default=values[0])
-    return low, min((v for v in values if v > value), default=values[-1])
+    """Return the next smaller and next larger of sorted values; the first or last if none.
+
+    One that differs by rounding alone is neither: beyond it lies half of what is to be searched.
+    """
+    alike = 1e-9 * (values[-1] - values[0])
+    low = max((v for v in values if v < value - alike), default=values[0])
+    return low, min((v for v in values if v > value + alike), default=values[-1])

@@ -42,7 +42,7 @@ class Offer:
     fixed: bool = False
     site: str = ""
 
-    @property
+    @cached_property
     def column_numbers(self) -> tuple[int, ...]:
         """The numbers of all its columns."""
         return tuple(k for own in self.columns for k in own)
@@ -53,7 +53,7 @@ class Offer:
         An offer that loses no place is returned unchanged. A single place of several is an offer of
         its own in the bank.
         """
-        left = sum(key not in held for key in self.keys)
+        left = len(self.keys) - len(held.intersection(self.keys))
         if left == len(self.keys):
             return self
         return None if left < 2 else self.without(held)

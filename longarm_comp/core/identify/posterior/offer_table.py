@@ -150,4 +150,6 @@ class OfferTable:
 
 def _multiply_rows(rows: np.ndarray, matrices: np.ndarray) -> np.ndarray:
     """Multiply each row of (R, P) by its own matrix of (R, P, Q); return (R, Q)."""
+    if rows.shape[1] == 1:  # as most offers have one coefficient
+        return np.asarray(rows * matrices[:, 0])
     return np.asarray(np.matmul(rows[:, None, :], matrices)[:, 0])

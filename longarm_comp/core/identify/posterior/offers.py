@@ -135,7 +135,7 @@ def _find_site(candidate: Candidate) -> str:
 
 def _scale_to_stiffness(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
     """Return the offer with the sizes of an elastic effect scaled to the stiffness of the arm."""
-    if offer.fixed or not candidate.terms[0].elastic:
+    if offer.fixed or tolerance.elastic_share == 1.0 or not candidate.terms[0].elastic:
         return offer
     return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
 

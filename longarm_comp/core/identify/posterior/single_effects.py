@@ -83,6 +83,7 @@ class OfferBank:
         # leave the same, so most of them share their tables.
         self._beside: dict[frozenset[Hashable], _Beside] = {}
         self._tables_of_left: dict[Hashable, list[OfferTable]] = {}
+        self._evidences: dict[tuple[Offer, ...], float] = {}
 
     @cached_property
     def _products(self) -> Products:
@@ -174,7 +175,10 @@ class OfferBank:
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Return the log evidence of some offers together, each with its prior odds against
         none."""
-        return float(self.evidence_of_sets([chosen])[0])
+        key = tuple(chosen)
+        if key not in self._evidences:
+            self._evidences[key] = float(self.evidence_of_sets([chosen])[0])
+        return self._evidences[key]
 
     def evidence_of_sets(self, sets: Sequence[Sequence[Offer]]) -> np.ndarray:
         """Return the `evidence` of each of many sets of offers, (number of sets,), much faster."""
