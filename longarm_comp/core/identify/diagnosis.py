@@ -34,15 +34,16 @@ from longarm_comp.core.identify.findings import (
 from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
-from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.identify.posterior.found import CREDIBLE, NONE
 from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
 
-SPLITS = 3.0
-"""Smallest expected log odds between two names for which poses are worth measuring."""
+SPLITS = NONE
+"""Smallest expected log odds between two names for which poses are worth measuring: those from
+which an effect counts as found."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,11 @@ class Diagnosis:
 def _describe_findings(found: Diagnosis) -> str:
     left = describe_structure(found.structure)
     unnamed = f" {left} and has no name." if left else ""
-    gain = f"Held-out mean error {_describe_change(found)}"
+    before, after = (found.proof.rows[stage] for stage in found.compared_stages)
+    change = f"{before.mean_text} -> {after.mean_text}"
+    if before.n:  # else only orientations were measured
+        change = describe_improvement(found.seen_gain, found.commanded_gain)
+    gain = f"Held-out mean error {change}"
     if found.verdict == "noise":
         rows, aside = len(found.fit.session), len(found.set_aside.rows)
         noise = "only noise is left" + (f" in {rows - aside} of {rows} rows" if aside else "")
@@ -223,11 +228,3 @@ def _describe_findings(found: Diagnosis) -> str:
         text += "which was written"
     doubt = f" In doubt: {'; '.join(found.doubts)}." if found.doubts else ""
     return f"{text}. {gain}.{unnamed}{doubt}"
-
-
-def _describe_change(found: Diagnosis) -> str:
-    """Say the held-out errors before and after; of orientations if no positions were measured."""
-    before, after = (found.proof.rows[stage] for stage in found.compared_stages)
-    if not before.n:
-        return f"{before.mean_text} -> {after.mean_text}"
-    return describe_improvement(found.seen_gain, found.commanded_gain)

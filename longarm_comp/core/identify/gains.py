@@ -23,9 +23,9 @@ from longarm_comp.core.data.commanded import (
     own_way,
     with_frame_shift,
 )
+from longarm_comp.core.data.holdout import BLOCKS
 from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.intervals import BLOCKS
 from longarm_comp.core.model.model import Model
 
 
@@ -45,10 +45,7 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray, fold: np.ndarray) -> Gain:
-        """Compute the gain from the (M, 3) errors, m, of two models on the same rows.
-
-        ``fold``: (M,) number of the fold of each row.
-        """
+        """Compute the gain from the (M, 3) errors, m, of two models on the same rows."""
         return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1), fold)
 
     @classmethod
@@ -73,9 +70,7 @@ class Gain:
 def _half_interval(off: np.ndarray, cluster: np.ndarray) -> float:
     """Return half of the 95 % interval of a mean by the scatter of clusters; 0 if there is one.
 
-    Args:
-        off: (M,) values minus their mean.
-        cluster: (M,) number of the cluster of each value.
+    `off` (M,) are the values minus their mean, `cluster` (M,) the numbers of their clusters.
     """
     names, at = np.unique(cluster, return_inverse=True)
     free = len(names) - 1
@@ -130,8 +125,7 @@ def _errors_without_each(
 ) -> list[tuple[Pair, Pair]]:
     """Compute the errors (M, 3), m, at rows without and with the terms of each finding.
 
-    Returns:
-        For each finding two pairs (without, with): of errors as seen, and of errors as commanded.
+    Returns for each finding two pairs (without, with): of errors as seen, and as commanded.
     """
     if not len(rows):
         none = np.zeros((0, 3))

@@ -1,6 +1,7 @@
 """95 % intervals of the parameters of a fit.
 
-The standard deviation is the larger of two: by the Laplace approximation, and by blocks of rows.
+The standard deviation is the larger of two: by the Laplace approximation, and by `BLOCKS` blocks of
+successive rows.
 """
 
 from __future__ import annotations
@@ -16,11 +17,9 @@ from scipy.special import ndtri
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.data.holdout import BLOCKS
 from longarm_comp.core.identify.posterior.forms import neighbouring_values
 
-BLOCKS = 20
-"""Number of blocks of successive rows by which scatter is estimated. Noise that is correlated over
-some rows stays within one block."""
 LOOSE = 3.0
 """Smallest prior, as a multiple of the value found, that hardly changes the interval."""
 TOUCHES = 0.05
@@ -57,7 +56,10 @@ def compute_intervals(
         found: the terms that a search added.
         candidates: the library.
     """
-    wider = _widen_priors(fit, found)
+    mine = {t.key for t in found}
+    sizes = np.abs(fit.model.values) / prior_widths(fit.slots)
+    sizes *= [slot.owner.key in mine for slot in fit.slots]
+    wider = np.maximum(1.0, LOOSE * sizes)  # it exists, so its size should follow from the data
     columns = FitColumns(fit)
     otherwise = [columns.prior_columns(_other_places(fit, found, candidates))]
     otherwise += _change_of_scales(fit, columns, found, candidates)
@@ -86,19 +88,6 @@ def compute_intervals(
         room = min(float(value) - bounds.lower, bounds.upper - float(value))
         made[k] = Interval(float(value), low, high, room <= TOUCHES * (high - low))
     return made
-
-
-def _widen_priors(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
-    """Return the (p,) factors that make priors wide enough to leave the found values unchanged.
-
-    The existence of a found effect is decided already, so its size should follow from the data.
-    """
-    mine = {t.key for t in found}
-    sizes = [
-        abs(value) / slot.parameter.prior if slot.owner.key in mine else 0.0
-        for value, slot in zip(fit.model.values, fit.slots, strict=True)
-    ]
-    return np.maximum(1.0, LOOSE * np.array(sizes))
 
 
 def _other_places(

@@ -20,6 +20,7 @@ from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
+from longarm_comp.core.calibration.linear import SIZES
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
@@ -33,7 +34,6 @@ predicted no better than at 0.03."""
 BACKGROUND_REST = 0.005
 """The same share for all effects that are not elastic.  Beside the findings on Justin and UR5 the
 evidence is highest at 0.005 to 0.008."""
-
 
 OF_NOISE = 0.1
 """Shift of the rows, as a share of the noise, below which a background effect is left out of the
@@ -75,14 +75,16 @@ of real joints differ by a tenth between positions of the joint."""
 STIFF = (1.0, 0.125, 0.0)
 """Possible values of `ModelTolerance.compliance`, equally likely beforehand. Arms of plastic and of
 steel differ by a factor of ten, the parts of one arm by less."""
-SOFT = (16.0, 4.0)
-"""Further values, at which all parts yield by up to half of a soft part: then no single part is to
-blame.  This counts as a cause without a name and has the prior of a function."""
+SOFT = tuple(sorted(set(SIZES) - set(STIFF), reverse=True))
+"""Further values, the sizes above the usual one: all parts yield by up to half of a soft part, and
+no single part is to blame.  This counts as a cause without a name and has the prior of a
+function."""
 FUNCTIONS = 1000
-"""Rough number of functions without a name on offer, equally likely."""
+"""Rough number of functions without a name on offer, equally likely: only its logarithm counts, and
+half or twice of it changes the log odds by less than 1."""
 TOLERANCES = tuple(ModelTolerance(form, share) for form in FORMS for share in (*STIFF, *SOFT))
 """All tolerances that are tried; their priors are `ModelTolerance.log_prior`."""
-RIGID = ModelTolerance(FORMS[0], 0.0)
+RIGID = ModelTolerance(min(FORMS), min(STIFF))
 """The tolerance without background compliance."""
 
 

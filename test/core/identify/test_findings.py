@@ -84,7 +84,7 @@ def test_effects_are_compared_with_their_rivals_until_none_is_better(
     monkeypatch.setattr(explain, "_compare_rivals", lambda search, state: (state, *next(answers)))
     search: Any = SimpleNamespace(repeat_until_best=lambda state: state)
     told: Any = state
-    assert explain._settle(search, told) == (state, (second, third))
+    assert explain._replace_by_rivals(search, told) == (state, (second, third))
     assert next(answers, None) is None
 
 

@@ -62,8 +62,7 @@ def find_explanation(
     most = len(known) + AT_ONCE
     starts = [_add_effects(bank, (), frozenset(), most)]
     if begun or known:
-        standing = begun or as_certain(bank, known)
-        starts.append(_add_effects(bank, standing, frozenset(), most))
+        starts.append(_add_effects(bank, begun or as_certain(bank, known), frozenset(), most))
     best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
@@ -99,12 +98,9 @@ def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
 def _add_effects(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
-    """Add single effects, one at a time, until a new one is probably absent.
+    """Add single effects to `start`, until a new one is probably absent or there are `most`.
 
-    Args:
-        start: the effects to begin with.
-        shut: numbers of the offers that are excluded.
-        most: number of effects at which to stop.
+    The offers whose numbers are in `shut` are excluded.
     """
     effects = list(start)
     while len(effects) < most:
@@ -120,11 +116,7 @@ def _add_effects(
 def _sweep_effects(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
-    """Update each effect from the residual of the others until no probability changes any more.
-
-    Args:
-        shut: numbers of the offers that are excluded.
-    """
+    """Update each effect from the residual of the others until no probability changes any more."""
     taken = np.sum([e.mean for e in effects], axis=0)
     for _ in range(SWEEPS):
         moved = 0.0

@@ -9,12 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
-ROUNDING = 1e-6
-"""Difference of probabilities or of log evidence that may be rounding alone. Names with the same
-columns may differ by it, and differently on each machine."""
-
 UNLIKELY = 0.01
-"""Probability, or change of a probability, that is ignored."""
+"""Probability, or change of a probability, that is ignored: findings are sure to 5 %."""
+_ROUNDING = float(np.finfo(np.float32).eps)
+"""Relative difference of probabilities that may be rounding alone, half of the digits. Names with
+the same columns may differ by it, and differently on each machine."""
 
 
 @dataclass(frozen=True)
@@ -83,12 +82,7 @@ class OtherEffects:
 
     @classmethod
     def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> OtherEffects:
-        """Summarise other effects; names and sites are those of effects that are probably there.
-
-        Args:
-            effects: the other effects.
-            shut: numbers of the offers that are excluded.
-        """
+        """Summarise other effects; names and sites are those of effects that are probably there."""
         there = [e for e in effects if e.presence > 0.5]
         return cls(
             shut,
@@ -122,7 +116,7 @@ class SingleEffect:
     @cached_property
     def best(self) -> int:
         """The number of the most probable offer; of equals, within rounding, the first."""
-        return int(np.argmax(self.q >= (1.0 - ROUNDING) * self.q.max()))
+        return int(np.argmax(self.q >= (1.0 - _ROUNDING) * self.q.max()))
 
     @property
     def offer(self) -> Offer:
