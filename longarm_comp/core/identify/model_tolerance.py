@@ -72,6 +72,9 @@ class ModelTolerance(NamedTuple):
 FORMS = (0.01, 0.03, 0.1)
 """Possible values of `ModelTolerance.form`, equally likely beforehand. Play, friction and stiffness
 of real joints differ by a tenth between positions of the joint."""
+_, FORM_KNOWN_WITHIN, _ = FORMS
+"""Share of its shift to which the form of a real joint is usually known. Two functions that differ
+by less are one."""
 STIFF = (1.0, 0.125, 0.0)
 """Possible values of `ModelTolerance.compliance`, equally likely beforehand. Arms of plastic and of
 steel differ by a factor of ten, the parts of one arm by less."""

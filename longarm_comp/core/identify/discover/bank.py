@@ -116,25 +116,18 @@ class FunctionBank:
         for count in np.unique(counts).tolist():
             alike = np.flatnonzero(counts == count)
             for portion in np.array_split(alike, max(len(alike) * count // SHORTLIST, 1)):
-                made[portion] += self._evidence_of_alike(
-                    marginal, [listed[n] for n in portion.tolist()]
-                )
+                some = [listed[n] for n in portion.tolist()]
+                white = self._white_columns([member for h in some for member in h.members])
+                unit = white * (np.concatenate([h.decay for h in some]) / self._rms_shift(white))
+                t = (marginal.projected_data @ unit).reshape(len(some), count)
+                several = unit.reshape(len(unit), len(some), count).transpose(1, 2, 0)
+                projected = marginal.project(unit).reshape(len(unit), len(some), count)
+                s = several @ projected.transpose(1, 0, 2)
+                values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
+                z = np.einsum("cij,ci->cj", turned, t)
+                each = _evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1)
+                made[portion] += _average_amplitudes(each)
         return made
-
-    def _evidence_of_alike(
-        self, marginal: Marginal, listed: Sequence[FunctionCandidate]
-    ) -> np.ndarray:
-        """Return the (C,) log evidence of candidates that all have the same number of members."""
-        count = len(listed[0].members)
-        white = self._white_columns([member for h in listed for member in h.members])
-        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms_shift(white))
-        t = (marginal.projected_data @ unit).reshape(len(listed), count)
-        several = unit.reshape(len(unit), len(listed), count).transpose(1, 2, 0)
-        projected = marginal.project(unit).reshape(len(unit), len(listed), count)
-        s = several @ projected.transpose(1, 0, 2)
-        values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
-        z = np.einsum("cij,ci->cj", turned, t)
-        return _average_amplitudes(_evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def unit_shifts(self, candidate: FunctionCandidate) -> np.ndarray:
         """Return the (r,) rms shift of the rows by a unit of each of r members, in noise units."""
@@ -189,14 +182,11 @@ class FunctionBank:
     ) -> np.ndarray:
         """Return the (K, G) part of each candidate's square that the fit's columns explain.
 
-        Args:
-            rows: numbers of the M selected rows.
-            kept: (p,) mask of the fit's columns.
-            white: (M, d, K) motion by a unit of each component, in units of the noise.
-            values: (M, G) values of the functions.
+        Here `white` (M, d, K) are the whitened components, and `values` (M, G) the functions, at
+        the M selected rows.
         """
-        design = whitened_design(self.fit)[rows][..., kept]
-        flat = flatten_design(design)
+        design = _whiten_design(self.fit, rows, kept)
+        flat = design.reshape(design.shape[0] * design.shape[1], -1)
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,nck->pkn", design, white, optimize=True)
         if turned.size:
@@ -213,9 +203,8 @@ class FunctionBank:
     def _best_of_kinds(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
         """Yield the best candidates of each kind, one list per kind.
 
-        Args:
-            worth: (K, G) log evidence of each component with each function. For candidates with
-                several columns it is summed, as if these were orthogonal.
+        The log evidence `worth` (K, G) of each component with each function is summed for
+        candidates with several columns, as if these were orthogonal.
         """
         alone = [g.functions[0] for g in self._single]
         for sharp in (False, True):
@@ -258,8 +247,7 @@ class FunctionBank:
     ) -> FunctionCandidate:
         """Make a candidate from (number of component, number of function) pairs.
 
-        Args:
-            group: the group of the functions; None: one function for each joint.
+        Without a `group` there is one function for each joint.
         """
         named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
         if group is None:
@@ -282,11 +270,8 @@ class FunctionBank:
 def _evidence_by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Compute the (A, ...) log evidence of columns at each of A amplitudes.
 
-    A unit of each column shifts the rows by one standard deviation of the noise, rms.
-
-    Args:
-        t: projected products of the columns with the data.
-        s: projected products of the columns with themselves.
+    The projected products of the columns with the data are `t`, with themselves `s`. A unit of each
+    column shifts the rows by one standard deviation of the noise, rms.
     """
     square = np.array(AMPLITUDES, dtype=t.dtype).reshape(-1, *(1,) * t.ndim) ** 2
     grown = 1.0 + square * s
@@ -299,10 +284,7 @@ def _average_amplitudes(each: np.ndarray) -> np.ndarray:
 
 
 def _sum_evidence(each: np.ndarray) -> np.ndarray:
-    """Return the sum (...) of the log evidence of r columns (r, ...); -inf entries do not count.
-
-    If all are -inf, so is the sum.
-    """
+    """Return the sum (...) of the finite log evidence of r columns (r, ...); -inf if none is."""
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
 
@@ -313,14 +295,10 @@ def channel_weights(fit: ModelFit) -> np.ndarray:
     return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
 
 
-def whitened_design(fit: ModelFit) -> np.ndarray:
-    """Return the design (N, d, p) of a fit, scaled by the priors and divided by the noise."""
-    return fit.columns * prior_widths(fit.slots) * channel_weights(fit)[..., None]
-
-
-def flatten_design(design: np.ndarray) -> np.ndarray:
-    """Reshape a design (N, d, p) to (N d, p), also for p = 0."""
-    return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
+def _whiten_design(fit: ModelFit, rows: np.ndarray, kept: np.ndarray) -> np.ndarray:
+    """Return some columns (p,) of a fit at some rows (N,), scaled by the priors and the noise."""
+    design = fit.columns * prior_widths(fit.slots) * channel_weights(fit)[..., None]
+    return design[rows][..., kept]
 
 
 def marginalise_columns(
@@ -337,9 +315,9 @@ def marginalise_columns(
     """
     inside = fit.weights > 0
     weights = channel_weights(fit)
-    design = whitened_design(fit)[inside]
+    design = _whiten_design(fit, inside, kept)
     data = (fit.residual + fit.columns @ fit.model.values) * weights
-    columns = np.concatenate([flatten_design(design)[:, kept], beside], axis=1)
+    columns = np.concatenate([design.reshape(len(beside), -1), beside], axis=1)
     marginal = Marginal(columns, data[inside].ravel())
     left = np.zeros(data.shape)
     left[inside] = marginal.projected_data.reshape(-1, data.shape[1])
@@ -407,10 +385,7 @@ def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarr
 
 
 def _number_joint_axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
-    """Return for each commanded joint the number of the component along its own axis.
-
-    The list is empty if a joint lacks this component.
-    """
+    """Return the number of each commanded joint's component along its axis; [] if one lacks it."""
     slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
     own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
     return [number[spot] for spot in own] if number.keys() >= set(own) else []

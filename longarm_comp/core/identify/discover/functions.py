@@ -40,9 +40,12 @@ TOTAL = 3
 LOOKS = 7
 """Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
 half a period is no shorter than the distance of two of these values."""
-DENSE = LOOKS**2
+DENSE = LOOKS * LOOKS
 """Number of values on the fine grid around the best. If rows were set aside as outliers, the whole
 scale of a form is searched that finely."""
+REFINED = 4
+"""Number of the best candidates of a rough search that are searched finely: the log prior of a
+refined function includes the choice among these."""
 
 
 class FunctionFamily(Enum):

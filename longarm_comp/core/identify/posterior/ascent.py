@@ -9,11 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.calibration.linear import BETTER
-from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, OtherEffects, SingleEffect
+from longarm_comp.core.identify.posterior.offer import (
+    ROUNDS,
+    UNLIKELY,
+    Offer,
+    OtherEffects,
+    SingleEffect,
+)
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
-SWEEPS = 30
-"""Largest number of sweeps over the effects; five to ten are usual."""
 AT_ONCE = 3
 """Largest number of single effects that one call adds. The forms of large effects must be fitted
 before smaller effects can be told from them."""
@@ -118,7 +122,7 @@ def _sweep_effects(
 ) -> list[SingleEffect]:
     """Update each effect from the residual of the others until no probability changes any more."""
     taken = np.sum([e.mean for e in effects], axis=0)
-    for _ in range(SWEEPS):
+    for _ in range(ROUNDS):
         moved = 0.0
         for k in reversed(range(len(effects))):
             was = effects[k]

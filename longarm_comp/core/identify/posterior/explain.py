@@ -24,8 +24,9 @@ from longarm_comp.core.identify.posterior.explained import (
     widen_prior,
 )
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, replace_effect
+from longarm_comp.core.identify.posterior.offer import ROUNDS
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
-from longarm_comp.core.identify.posterior.search import ROUNDS, ExplanationSearch
+from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.model.model import Model
 
 

@@ -9,6 +9,9 @@ from functools import cached_property
 
 import numpy as np
 
+ROUNDS = 16
+"""Largest number of repetitions of every loop of the search. Each ends by itself, after three to
+ten; half of it or twice found the same names at the same places."""
 UNLIKELY = 0.01
 """Probability, or change of a probability, that is ignored: findings are sure to 5 %."""
 _ROUNDING = float(np.finfo(np.float32).eps)

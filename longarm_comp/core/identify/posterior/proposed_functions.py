@@ -26,14 +26,10 @@ from longarm_comp.core.identify.discover.bank import (
     make_term,
     marginalise_columns,
 )
-from longarm_comp.core.identify.discover.functions import DENSE, vary_shape
+from longarm_comp.core.identify.discover.functions import DENSE, REFINED, vary_shape
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
-
-REFINED = 4
-"""Number of candidates of a bank that are refined: tried with other thresholds and frequencies. The
-log prior of a refined candidate includes the choice among these."""
 
 
 def propose_functions(

@@ -31,6 +31,7 @@ from longarm_comp.core.identify.posterior.explained import (
 )
 from longarm_comp.core.identify.posterior.forms import find_better_forms, measure_agreement
 from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, ProposedFunction
+from longarm_comp.core.identify.posterior.offer import ROUNDS
 from longarm_comp.core.identify.posterior.offered_effects import (
     IMPOSSIBLE,
     OfferedEffects,
@@ -40,9 +41,6 @@ from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.step_scan import scan_steps
 from longarm_comp.core.model.model import Model
-
-ROUNDS = 8
-"""Largest number of rounds of each loop of the search; three are usual."""
 
 
 @dataclass

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, prior_root
-from longarm_comp.core.identify.model_tolerance import FORMS
+from longarm_comp.core.identify.model_tolerance import FORM_KNOWN_WITHIN
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.offer_table import OfferTable, Products
@@ -96,13 +96,13 @@ class OfferBank:
         """Tell whether an offer is a function without a name that moves the rows as a named effect.
 
         Then it is only another description of that effect. Two columns count as the same within
-        ``FORMS[1]``, because the form of no real joint is known better.
+        `FORM_KNOWN_WITHIN`.
         """
         if not offer.site or len(offer.column_numbers) > 1:
             return False
         (k,) = offer.column_numbers
         squares = np.diag(self.gram)
-        product = squares[k] * squares[self._named_columns] * (1.0 - FORMS[1] ** 2)
+        product = squares[k] * squares[self._named_columns] * (1.0 - FORM_KNOWN_WITHIN**2)
         return bool((self.gram[k, self._named_columns] ** 2 > np.maximum(product, 0.0)).any())
 
     @cached_property
