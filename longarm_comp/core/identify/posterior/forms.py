@@ -90,10 +90,7 @@ def _search_scales(
 ) -> Term:
     """Return the term with the scales of highest worth, on finer and finer grids.
 
-    Args:
-        term: returned unchanged if no form is better.
-        grid: (M, s) values of the s scales on the first grid.
-        worth: returns the worth of each of some terms.
+    It is unchanged if no form is better. The first grid (M, s) has M values of the s scales.
     """
     fields = list(term.scales())
     least = float(worth([term])[0]) + BETTER
@@ -136,12 +133,9 @@ def measure_agreement(fit: ModelFit, residual: np.ndarray) -> float:
 def _agree_by_form(
     fit: ModelFit, now: Term, moved: Sequence[Term], then: Sequence[Term]
 ) -> np.ndarray:
-    """Return the (T,) `measure_agreement` of the rows for T other forms of a term.
+    """Return the (T,) `measure_agreement` of the rows if a term `now` of the fit has T other forms.
 
-    Args:
-        now: the term as it is in the model.
-        moved: other terms of the model, in better forms that were found since the fit.
-        then: the T other forms.
+    Other terms of the fit are in the better forms `moved`.
     """
     columns = FitColumns(fit)
     columns.prior_columns(then)  # all at once: much faster

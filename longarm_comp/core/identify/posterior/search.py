@@ -129,11 +129,11 @@ class ExplanationSearch:
         """
         made = []
         for judged in (one.fit.noise_arguments, other.fit.noise_arguments):
-            fits = (
-                fit_model(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other)
-            )
             mine, theirs = (
-                self.evidence_of_all(f, e.found) for f, e in zip(fits, (one, other), strict=True)
+                self.evidence_of_all(
+                    fit_model(e.fit.model, self.session, close=NEAR, **judged), e.found
+                )
+                for e in (one, other)
             )
             made.append(theirs - mine)
         return sum(made) / len(made)

@@ -108,8 +108,8 @@ class OfferBank:
     @cached_property
     def _named_columns(self) -> np.ndarray:
         """The numbers of the columns of named effects that have a single column."""
-        alone = (o.column_numbers for o in self.offers if not o.site and len(o.column_numbers) == 1)
-        return np.array([k for (k,) in alone], dtype=int)
+        named = (offer.column_numbers for offer in self.offers if not offer.site)
+        return np.array([own[0] for own in named if len(own) == 1], dtype=int)
 
     def compute_single_effect(self, along: np.ndarray, others: OtherEffects) -> SingleEffect:
         """Compute the distribution of one effect from the residual of the others.
@@ -172,8 +172,7 @@ class OfferBank:
         return made
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
-        """Return the log evidence of some offers together, each with its prior odds against
-        none."""
+        """Return the log evidence of offers together, each with its prior odds against none."""
         return float(self.evidence_of_sets([chosen])[0])
 
     def evidence_of_sets(self, sets: Sequence[Sequence[Offer]]) -> np.ndarray:
@@ -198,19 +197,12 @@ class OfferBank:
     def solve_together(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """Return `evidence`, and the coefficients of each offer at the posterior mode."""
         total, (mean,) = self._solve_sets([chosen])
-        free = [0 if offer.fixed else len(offer.column_numbers) for offer in chosen]
-        parts = np.split(mean, np.cumsum(free, dtype=int))
-        fixed = (np.ones(len(offer.column_numbers)) for offer in chosen)
-        return float(total[0]), [
-            part if count else ones for part, count, ones in zip(parts, free, fixed, strict=False)
-        ]
-
-    def _odds_of_likes(self, chosen: Sequence[Offer]) -> float:
-        """Return the prior log odds that offers gain from others of their name or cause."""
-        sites = [offer.site for offer in chosen if offer.site]
-        together = len(sites) - len(set(sites))
-        again = len(chosen) - len({offer.name for offer in chosen}) - together
-        return self.again * again + self.together * together
+        made, start = [], 0
+        for offer in chosen:
+            count = len(offer.column_numbers)
+            made.append(np.ones(count) if offer.fixed else mean[start : start + count])
+            start += 0 if offer.fixed else count
+        return float(total[0]), made
 
     def _solve_sets(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the log evidence of each set of offers, and the coefficients of each set.
@@ -222,8 +214,11 @@ class OfferBank:
         free = [[offer for offer in chosen if not offer.fixed] for chosen in sets]
         along = self.along[None].repeat(len(sets), axis=0)
         for n, chosen in enumerate(sets):
+            sites = [offer.site for offer in chosen if offer.site]
+            together = len(sites) - len(set(sites))
+            again = len(chosen) - len({offer.name for offer in chosen}) - together
             totals[n] = sum(offer.log_prior - NONE for offer in chosen)
-            totals[n] += self._odds_of_likes(chosen)
+            totals[n] += self.again * again + self.together * together
             whole = [k for offer in chosen if offer.fixed for k in offer.column_numbers]
             if whole:
                 shared = self.gram[whole].sum(0)
@@ -260,10 +255,7 @@ class OfferBank:
 def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
     """Return the posterior mean (..., K) of coefficients ``root w``, w unit normal.
 
-    Args:
-        s: (..., K, K) products of the columns with each other.
-        t: (..., K) products of the columns with the data.
-        root: (..., K, K).
+    The products of the columns with each other are s (..., K, K), with the data t (..., K).
     """
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
@@ -273,10 +265,7 @@ def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
 def _solve_coefficients(
     s: np.ndarray, t: np.ndarray, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean (..., K), standard deviation (..., K) and log evidence (...) of coefficients.
-
-    Arguments and prior are those of `_find_mode`.
-    """
+    """Return mean (..., K), standard deviation (..., K) and log evidence (...), as `_find_mode`."""
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
     inverse = root @ np.linalg.inv(precision) @ turned
