@@ -44,11 +44,6 @@ def weigh_alternatives(
 
     Found effects that the model does not hold are left out: their proof failed.  So is what is
     `UNLIKELY`, which hardly moves the radius of 90 of 100 commands, and what moves no tip.
-
-    Args:
-        fit: the fit of the model.
-        found: the effects that were found.
-        doubtful: further effects that may be there.
     """
     held = {t.key for t in fit.model.terms}
     mine = [f for f in found if held.issuperset(t.key for t in f.terms)]

@@ -52,9 +52,7 @@ class Gain:
     def of_lengths(cls, long: np.ndarray, short: np.ndarray, fold: np.ndarray) -> Gain:
         """Compute the gain from the (M,) lengths of the errors of two models on the same rows.
 
-        Args:
-            long, short: before and after, m.
-            fold: (M,) number of the fold of each row.
+        The lengths are `long` before and `short` after, m; `fold` (M,) numbers the folds.
         """
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
@@ -81,11 +79,7 @@ def _half_interval(off: np.ndarray, cluster: np.ndarray) -> float:
 
 
 def measure_tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
-    """Return the (N,) shift, m, of the seen tip by some terms, at each fitted row.
-
-    Args:
-        places: keys (effect, place) of the terms.
-    """
+    """Return the (N,) shift, m, of the seen tip by the terms of some keys, at each fitted row."""
     still = fitted.model.without(places)
     moved = fitted.model.measured_at(fitted.posture)
     return np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
@@ -148,12 +142,9 @@ def _errors_without_each(
 
 
 def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
-    """Return the model without some terms, all others fitted again to first order.
+    """Return the model without the terms of some keys, all others fitted again to first order.
 
     Background effects keep their values; otherwise they would replace the terms that are left out.
-
-    Args:
-        places: keys (effect, place) of the terms to leave out.
     """
     shares = dict(fitted.model.beyond)
     little = {s.owner.key for s in fitted.slots if shares.get(s.identity, 1.0) < 1.0} - places

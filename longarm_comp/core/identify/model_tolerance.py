@@ -127,9 +127,7 @@ def fit_with_background(
     Every effect on the arm that reads no recorded column is added, in its first form, if it moves
     the rows by at least `OF_NOISE`. For an elastic effect its prior size decides, not the fitted
     one, because under another load it may move the tip more; the model's `sigma` includes this.
-
-    Args:
-        compliance: as in `ModelTolerance`.
+    The compliance is that of `ModelTolerance`.
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}

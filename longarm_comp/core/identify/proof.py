@@ -80,11 +80,7 @@ class Proof:
 
         A bias moves the sighting, not the tip, so a command does not have the error that it
         explains. The mean of the squared errors as seen and as commanded is taken. The weight of
-        the former is the probability that all found biases are really biases.
-
-        Args:
-            found: the effects of the fullest model.
-            names: names of the models.
+        the former is the probability that all biases found in the fullest model are really biases.
         """
         ours = 1.0
         for f in found:

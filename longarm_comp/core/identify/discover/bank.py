@@ -104,12 +104,9 @@ class FunctionBank:
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
     def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """Return the (C,) log odds of each candidate against none, priors included.
+        """Return the (C,) log odds of each candidate alone against none, priors included.
 
-        Args:
-            marginal: the columns that are in the model already, at all inliers
-                (`marginalise_columns`).
-            listed: the C candidates, each judged alone.
+        The columns that are in the model already are those of `marginalise_columns`.
         """
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
@@ -336,8 +333,7 @@ def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
 def make_banks(fit: ModelFit, remembering: Collection[int] = ()) -> tuple[FunctionBank, ...]:
     """Make the bank of the arm's side and, if positions are measured, those of the camera's.
 
-    Args:
-        remembering: as in `read_arm_inputs`.
+    The joints `remembering` are those of `read_arm_inputs`.
     """
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]

@@ -84,11 +84,7 @@ def find_explanation(
 
 
 def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
-    """Return one certain effect for each of some offers.
-
-    Args:
-        known: numbers of the offers; their coefficients are solved together.
-    """
+    """Return one certain effect for each of the known offers, which are solved together."""
     offers = [bank.offers[n] for n in known]
     made = []
     for n, offer, values in zip(known, offers, bank.solve_together(offers)[1], strict=True):

@@ -156,9 +156,6 @@ def neighbouring_values(
     """Return the next lower and next higher value of a term's scale in the library.
 
     If there is none, it is the end of the scale.
-
-    Args:
-        field: name of the scale.
     """
     return _nearest_values(float(getattr(term, field)), _list_tried_values(term, field, candidates))
 

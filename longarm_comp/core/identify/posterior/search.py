@@ -141,15 +141,9 @@ class ExplanationSearch:
     def weigh_tolerances(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
-        """Find the model tolerance at which an explanation has the highest evidence.
+        """Return the highest log evidence of an explanation, and the tolerance that gives it.
 
         Effects and places that do not raise the evidence, priors included, are dropped first.
-
-        Args:
-            fitted: the fit that holds the effects.
-
-        Returns:
-            The highest log evidence, and its tolerance.
         """
         every = self.offer_by_tolerance(fitted, found, others=False)
         return max((bank.evidence_pruned, bank.tolerance) for bank in every)
@@ -161,10 +155,6 @@ class ExplanationSearch:
 
         None is dropped, because the columns, which are linearised, tell little about the arm
         without a large effect.
-
-        Args:
-            fitted: the fit that holds the effects.
-            near: as in `make_offers`.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
         return max(bank.evidence_of_known for bank in every)
@@ -216,9 +206,7 @@ class ExplanationSearch:
         """Make the offers at a fit, one bank for each model tolerance that applies.
 
         Tolerances with another error of forms than the first are tried only if something was found.
-
-        Args:
-            fitted, found, others, near: as in `make_offers`.
+        The arguments are those of `make_offers`.
         """
         tried = [
             tolerance

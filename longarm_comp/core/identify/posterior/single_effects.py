@@ -114,9 +114,7 @@ class OfferBank:
     def compute_single_effect(self, along: np.ndarray, others: OtherEffects) -> SingleEffect:
         """Compute the distribution of one effect from the residual of the others.
 
-        Args:
-            along: (K,) products of the columns with this residual.
-            others: the limits that the other effects set.
+        The products of the columns with this residual are `along` (K,).
         """
         beside = self._beside_places(others.held)
         scores, found = np.full(len(self.offers), -np.inf), []
