@@ -42,9 +42,7 @@ class Interval:
 
 
 def compute_intervals(
-    fit: ModelFit,
-    found: Sequence[Term],
-    candidates: Sequence[Candidate],
+    fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> dict[int, Interval]:
     """Compute the intervals of a fit's parameters, by position in its slots.
 
@@ -105,27 +103,21 @@ def _other_places(
 
 
 def _change_of_scales(
-    fit: ModelFit, columns: FitColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
+    fit: ModelFit, columns: FitColumns, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """Return for each scale of the terms the change of the rows (N, d, 1), m or rad.
+    """Return for each scale of the found terms the change of the rows (N, d, 1), m or rad.
 
     The scale moves by half the distance of the tried values to both sides of it.
     """
+    held = {t.key: t for t in fit.model.terms}
     ways: list[tuple[Term, Term]] = []
-    for term in terms:
+    for term in (held[t.key] for t in found):
         for field in term.scales():
             low, high = neighbouring_values(term, field, candidates)
             here = float(getattr(term, field))
             half = 0.5 * (high - low) * (1.0 if here < 0.5 * (low + high) else -1.0)
             ways.append((term, dataclasses.replace(term, **{field: here + half})))
     columns.prior_columns([t for pair in ways for t in pair])  # all at once: much faster
-    made = []
-    for term, moved in ways:
-        values = [
-            v / slot.parameter.prior
-            for v, slot in zip(fit.model.values, fit.slots, strict=True)
-            if slot.owner.key == term.key
-        ]
-        change = (columns.prior_columns([moved]) - columns.prior_columns([term])) @ np.array(values)
-        made.append(change[..., None])
-    return made
+    return [
+        (columns.shift_by([moved]) - columns.shift_by([term]))[..., None] for term, moved in ways
+    ]

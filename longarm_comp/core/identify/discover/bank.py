@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
 from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
@@ -80,18 +80,14 @@ class FunctionBank:
     """All candidates of one side, the arm's or the camera's: components times functions.
 
     Args:
-        fit: the fit, with its rows, noise and columns.
+        fit: the fit, with its rows, columns and noise, which does not correlate rows (``rho`` 0).
         places: the K components, with their places.
         units: (N, d, K) motion of the d channels by a unit of each component, m or rad.
         functions: G functions at the N rows.
     """
 
     def __init__(
-        self,
-        fit: ModelFit,
-        places: Sequence[Spot],
-        units: np.ndarray,
-        functions: Functions,
+        self, fit: ModelFit, places: Sequence[Spot], units: np.ndarray, functions: Functions
     ) -> None:
         self.fit, self.places, self.units, self.functions = fit, tuple(places), units, functions
         self._number = {place: k for k, place in enumerate(self.places)}
@@ -106,7 +102,7 @@ class FunctionBank:
     def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
         """Return the (C,) log odds of each candidate alone against none, priors included.
 
-        The columns that are in the model already are those of `marginalise_columns`.
+        The columns that are in the model already are marginalised.
         """
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
@@ -136,8 +132,7 @@ class FunctionBank:
             self.units[:, :, self._number[p]] * self.functions.values_of(f)[:, None]
             for p, f in members
         ]
-        columns = np.stack(made, axis=-1) * channel_weights(self.fit)[..., None]
-        return columns[self.fit.weights > 0].reshape(-1, len(members))
+        return self.fit.whiten_columns(np.stack(made, axis=-1))
 
     def _rms_shift(self, white: np.ndarray) -> np.ndarray:
         """Return the (r,) rms over the rows of whitened columns (d M, r), at least 1e-150."""
@@ -151,14 +146,16 @@ class FunctionBank:
 
         Args:
             kept: (p,) mask of the fit's columns, which are projected out of all candidates.
-            left: residuals (N, d), whitened, of the fit or of the fit without an effect.
+            left: whitened residuals (dM,) of the fit, and of the fit without an effect.
 
         Returns:
             For each residual, for each kind, its best candidates.
         """
-        rows = choose_evenly(np.flatnonzero(self.fit.weights > 0), MOST_ROWS)
-        white = (self.units * channel_weights(self.fit)[..., None])[rows].astype(np.float32)
-        values = self.functions.values[rows]
+        inliers, width = np.flatnonzero(self.fit.weights > 0), self.fit.width
+        rows = choose_evenly(np.arange(len(inliers)), MOST_ROWS)
+        white = self.fit.whiten_columns(self.units).reshape(len(inliers), width, -1)
+        white = white[rows].astype(np.float32)
+        values = self.functions.values[inliers[rows]]
         size = np.sqrt((values**2).mean(axis=0))
         values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
         raw = np.einsum("nck,nck->kn", white, white) @ values**2
@@ -166,8 +163,9 @@ class FunctionBank:
         usable = (raw > 1e-25) & (s > _WEAK * raw)
         unit = np.maximum(raw / len(rows), 1e-30)
         made = []
-        for whole in left:
-            t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
+        for residual in left:
+            y = residual.reshape(-1, width)[rows].astype(np.float32)
+            t = np.einsum("nc,nck->kn", y, white) @ values
             each = _evidence_by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
             made.append(
                 list(self._best_of_kinds(np.where(usable, _average_amplitudes(each), -np.inf)))
@@ -179,10 +177,11 @@ class FunctionBank:
     ) -> np.ndarray:
         """Return the (K, G) part of each candidate's square that the fit's columns explain.
 
-        Here `white` (M, d, K) are the whitened components, and `values` (M, G) the functions, at
-        the M selected rows.
+        Here `white` (m, d, K) are the whitened components, and `values` (m, G) the functions, at
+        m rows, whose numbers among the M inliers are `rows`.
         """
-        design = _whiten_design(self.fit, rows, kept)
+        of_rows = (len(self.fit.design) // self.fit.width, self.fit.width, len(kept))
+        design = self.fit.design.reshape(of_rows)[rows][..., kept]
         flat = design.reshape(design.shape[0] * design.shape[1], -1)
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,nck->pkn", design, white, optimize=True)
@@ -284,41 +283,6 @@ def _sum_evidence(each: np.ndarray) -> np.ndarray:
     """Return the sum (...) of the finite log evidence of r columns (r, ...); -inf if none is."""
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
-
-
-def channel_weights(fit: ModelFit) -> np.ndarray:
-    """Return (N, d) the root of the row's weight / sigma of the channel; 0 where not measured."""
-    held = np.isfinite(fit.sigma) & fit.session.measured
-    return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
-
-
-def _whiten_design(fit: ModelFit, rows: np.ndarray, kept: np.ndarray) -> np.ndarray:
-    """Return some columns (p,) of a fit at some rows (N,), scaled by the priors and the noise."""
-    design = fit.columns * prior_widths(fit.slots) * channel_weights(fit)[..., None]
-    return design[rows][..., kept]
-
-
-def marginalise_columns(
-    fit: ModelFit, kept: np.ndarray, beside: np.ndarray
-) -> tuple[Marginal, np.ndarray]:
-    """Marginalise some of a model's columns, as if the noise of rows were independent.
-
-    Args:
-        kept: (p,) mask of the columns of the model.
-        beside: (m, k) further columns, whitened in the same way.
-
-    Returns:
-        The marginal, and the whitened residual (N, d) that the columns leave; 0 at outliers.
-    """
-    inside = fit.weights > 0
-    weights = channel_weights(fit)
-    design = _whiten_design(fit, inside, kept)
-    data = (fit.residual + fit.columns @ fit.model.values) * weights
-    columns = np.concatenate([design.reshape(len(beside), -1), beside], axis=1)
-    marginal = Marginal(columns, data[inside].ravel())
-    left = np.zeros(data.shape)
-    left[inside] = marginal.projected_data.reshape(-1, data.shape[1])
-    return marginal, left
 
 
 def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:

@@ -17,12 +17,7 @@ from longarm_comp.core.data.holdout import split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.model_tolerance import fit_with_background
-from longarm_comp.core.identify.posterior.explained import (
-    ExplainedSession,
-    drop_idle,
-    judge_noise_and_fit,
-    widen_prior,
-)
+from longarm_comp.core.identify.posterior.explained import ExplainedSession, widen_prior
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, replace_effect
 from longarm_comp.core.identify.posterior.offer import ROUNDS
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
@@ -59,7 +54,7 @@ def explain_session(
     say = progress or (lambda _: None)
     search = ExplanationSearch(base, session, list(candidates), known_noise, stepped, say)
     say("geometry")
-    state = judge_noise_and_fit(base, session, search.candidates, known=known_noise)
+    state = search.fit_geometry()
     weighed = not any(t.through_others for t in base.terms)
     state = search.repeat_until_best(state) if weighed else _start_soft(search, state)
     of_halves: tuple[tuple[FoundEffect, ...], ...] = ()
@@ -112,12 +107,21 @@ def _average_samples(
 
 
 def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
-    """Return the state with its fit converged, and with the background compliance."""
-    rest = search.other_compliance(state)
-    closed = fit_model(
-        state.fit.model, search.session, begun=state.fit, **state.fit.noise_arguments
-    )
-    fitted = drop_idle(fit_with_background(closed, search.candidates, rest) if rest else closed)
+    """Return the state with its fit converged, and with the background compliance.
+
+    If an elastic effect was found, other parts may be as soft without a penalty of the prior.
+    Effects that act only through others, as a mass through a part that yields under load, are left
+    out if none of these is there.
+    """
+    soft, noise = any(t.elastic for t in state.chosen_terms), state.fit.noise_arguments
+    every = search.offer_by_tolerance(state.fit, state.found, others=False)
+    best = max(every, key=lambda b: b.evidence_pruned - b.tolerance.log_prior * soft)
+    fitted = fit_model(state.fit.model, search.session, begun=state.fit, **noise)
+    if best.tolerance.compliance:
+        fitted = fit_with_background(fitted, search.candidates, best.tolerance.compliance)
+    idle = {e.key for e in fitted.model.effects if e.through_others}
+    if idle and not any(e.loaded for e in fitted.model.effects if e.key not in idle):
+        fitted = fit_model(fitted.model.without(idle), search.session, near=fitted, **noise)
     known = {t.variant: t for t in fitted.model.terms}
     held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
     return replace(state, fit=fitted, found=tuple(held), candidates=tuple(search.candidates))

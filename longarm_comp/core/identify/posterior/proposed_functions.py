@@ -24,7 +24,6 @@ from longarm_comp.core.identify.discover.bank import (
     FunctionCandidate,
     make_banks,
     make_term,
-    marginalise_columns,
 )
 from longarm_comp.core.identify.discover.functions import DENSE, REFINED, vary_shape
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
@@ -49,12 +48,14 @@ def propose_functions(
         found: the effects found so far.
         library, tolerance: give the columns that may move the rows besides (`tolerance_columns`).
     """
+    fit = dataclasses.replace(fit, rho=0.0)  # functions are tried as if rows erred independently
     gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
     marginals = []
     for some in gone:
         rest = [f for f in found if f not in some]
-        besides = tolerance_columns(dataclasses.replace(fit, rho=0.0), library, rest, tolerance)
-        marginals.append(marginalise_columns(fit, _mask_other_columns(fit, some), besides))
+        besides = tolerance_columns(fit, library, rest, tolerance)
+        columns = [fit.design[:, _mask_other_columns(fit, some)], besides]
+        marginals.append(Marginal(np.concatenate(columns, axis=1), fit.data))
     history = {
         joint
         for f in found
@@ -65,9 +66,9 @@ def propose_functions(
     ranked: list[list[_Ranked]] = [[] for _ in gone]
     for bank in make_banks(fit, history):
         looked = bank.shortlist_candidates(
-            _mask_other_columns(fit, found), [left for _, left in marginals]
+            _mask_other_columns(fit, found), [marginal.projected_data for marginal in marginals]
         )
-        for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
+        for marginal, kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _rank_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
     offered: dict[FunctionCandidate, FunctionBank] = {}
