@@ -53,19 +53,15 @@ class Diagnosis:
     Attributes:
         arm: the declared arm.
         model_given: whether the model before was given; else it was that of the declared arm.
-        search: the explained session with which the search ended.
+        search, written, failed, models, folds, held_out: as in `ProvedModels`.
         findings: effects with a name, strongest first.
         causes: functions without a name, largest first.
         fits: fits of the models calibrated, with_effects and (if there are functions)
             with_functions, by name, to the same rows with the same noise.
         expected: by these names, the mean error, m, that a command is expected to have.
-        written: name of the model to use: the one of least expected error whose proof holds.
-        failed: how a fuller model failed its proof; empty if none did.
         intervals: intervals of the parameters of the model to use, by position in its slots.
         structure: the structure that is left in the residual.
         set_aside: rows that the fit of the model to use set aside as outliers.
-        models: nominal (the model before), frames_only and the models of `fits`.
-        folds: the same models fitted without some rows; every held-out row is in one fold.
         proof: errors of all models at the rows that they were fitted without.
         network: the predictor of the residual; None if it does not help at held-out poses.
         split_by: for each finding with other names, the poses that would tell them apart.
@@ -73,7 +69,6 @@ class Diagnosis:
         next_q: (M, n) poses that would settle these doubts, rad and m.
         not_testable: (effect, reason) of the candidates that could not be tested.
         train: rows that were fitted.
-        held_out: the rows of the proof.
         seed: seed of everything random.
     """
 

@@ -98,46 +98,36 @@ def compute_gains(
         For each finding the gain in errors as seen, and that in errors as commanded.
     """
     placed = [(fit, rows.take(rows.placed)) for fit, rows in held_out]
-    folds = [_errors_without_each(fit, each, rows) for fit, rows in placed]
+    errors = np.concatenate([_errors_without_each(fit, each, rows) for fit, rows in placed], 3)
     fold = np.repeat(np.arange(len(placed)), [len(rows) for _, rows in placed])
-    made = []
-    for of_finding in zip(*folds, strict=True):
-        pairs = (
-            [np.concatenate(parts) for parts in zip(*each_fold, strict=True)]
-            for each_fold in zip(*of_finding, strict=True)
-        )
-        seen, commanded = (Gain.of(before, after, fold) for before, after in pairs)
-        made.append((seen, commanded))
-    return made
-
-
-Pair = tuple[np.ndarray, np.ndarray]
+    return [
+        (Gain.of(*as_seen, fold), Gain.of(*as_commanded, fold)) for as_seen, as_commanded in errors
+    ]
 
 
 def _errors_without_each(
     fitted: ModelFit, each: Sequence[set[tuple[str, str]]], rows: Session
-) -> list[tuple[Pair, Pair]]:
-    """Compute the errors (M, 3), m, at rows without and with the terms of each finding.
+) -> np.ndarray:
+    """Compute the errors at M rows without and with the terms of each of F findings, m.
 
-    Returns for each finding two pairs (without, with): of errors as seen, and as commanded.
+    Returns (F, 2, 2, M, 3): as seen, then as commanded; without the terms, then with them.
     """
+    made = np.zeros((len(each), 2, 2, len(rows), 3))
     if not len(rows):
-        none = np.zeros((0, 3))
-        return [((none, none), (none, none)) for _ in each]
+        return made
     model, own = fitted.model, own_way(rows)
     at = compute_posture(model, rows), compute_posture(as_commanded(model), own)
-    after = compute_tip_errors(model, rows, at[0]), commanded_errors(model, own, at[1])
-    held, made = {t.key for t in model.terms}, []
-    for places in each:
-        before = after
-        if not places.isdisjoint(held):
-            # A first-order fit may overshoot; the model without any new fit is then better
-            tried = (refit_without(fitted, places), model.without(places))
-            seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
-            nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
-            less = with_frame_shift(tried[nearest], fitted.session)
-            before = seen[nearest], commanded_errors(less, own, at[1])
-        made.append(((before[0], after[0]), (before[1], after[1])))
+    made[:, 0] = compute_tip_errors(model, rows, at[0])
+    made[:, 1] = commanded_errors(model, own, at[1])
+    for places, errors in zip(each, made, strict=True):
+        if places.isdisjoint(t.key for t in model.terms):
+            continue
+        # A first-order fit may overshoot; the model without any new fit is then better
+        tried = (refit_without(fitted, places), model.without(places))
+        seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
+        nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
+        less = with_frame_shift(tried[nearest], fitted.session)
+        errors[:, 0] = seen[nearest], commanded_errors(less, own, at[1])
     return made
 
 

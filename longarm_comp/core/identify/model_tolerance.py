@@ -63,11 +63,6 @@ class ModelTolerance(NamedTuple):
         """Log prior, relative to that of an arm whose parts yield only a little."""
         return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.is_soft else 0.0
 
-    @property
-    def elastic_share(self) -> float:
-        """Share of its prior that an elastic finding has; at most 1, and 1 if `compliance` is 0."""
-        return min(self.compliance, 1.0) or 1.0
-
 
 FORMS = (0.01, 0.03, 0.1)
 """Possible values of `ModelTolerance.form`, equally likely beforehand. Play, friction and stiffness

@@ -55,11 +55,6 @@ class Spot:
     at: str
     component: str
 
-    @property
-    def kind(self) -> tuple[str, str]:
-        """The place, and the component without its axis."""
-        return self.at, self.component.split(" ")[0]
-
 
 @dataclass(frozen=True)
 class FunctionCandidate:
@@ -93,7 +88,8 @@ class FunctionBank:
         self._number = {place: k for k, place in enumerate(self.places)}
         kinds: dict[tuple[str, str], list[int]] = {}
         for k, place in enumerate(self.places):
-            kinds.setdefault(place.kind, []).append(k)
+            kind, *_ = place.component.split(" ")  # without its axis
+            kinds.setdefault((place.at, kind), []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
         self._axes = _number_joint_axes(fit.model.arm, self._number)
         self._single = [g for g in functions.groups if len(g.functions) == 1]
@@ -203,11 +199,9 @@ class FunctionBank:
         candidates with several columns, as if these were orthogonal.
         """
         alone = [g.functions[0] for g in self._single]
-        for sharp in (False, True):
-            prior = [
-                self._log_prior(g) if g.family.has_threshold == sharp else -np.inf
-                for g in self._single
-            ]
+        sharp = {FunctionFamily.SWITCH, FunctionFamily.CONTACT}
+        for families in (set(FunctionFamily) - sharp, sharp):
+            prior = [self._log_prior(g) if g.family in families else -np.inf for g in self._single]
             best = _largest_entries(worth[:, alone] + np.array(prior))
             yield [self._make_candidate([(k, alone[n])], self._single[n]) for k, n in best]
         several = []

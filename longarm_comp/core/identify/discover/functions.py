@@ -63,11 +63,6 @@ class FunctionFamily(Enum):
     EACH_JOINT = "the same at each joint"
     OWN_JOINT = "smooth in a joint, along its axis"
 
-    @property
-    def has_threshold(self) -> bool:
-        """True for functions that jump or bend at a threshold: switch and contact."""
-        return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
-
 
 OWN = ("q", "load_", "side_")
 """Names, without the joint's number, of the inputs that each joint has of its own."""

@@ -88,7 +88,7 @@ def make_offers(
     banks = []
     for tolerance, size in zip(tolerances, sizes, strict=True):
         evidence, s, t = marginalise_first(gram, along, size)
-        share = tolerance.elastic_share  # an elastic effect is as large as the arm is soft
+        share = min(tolerance.compliance, 1.0) or 1.0  # the stiffer the arm, the smaller
         offers = [
             dataclasses.replace(offer, sizes=tuple(share * s for s in offer.sizes))
             if thing.terms[0].elastic and not offer.fixed
