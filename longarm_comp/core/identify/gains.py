@@ -101,7 +101,8 @@ def compute_gains(
     errors = np.concatenate([_errors_without_each(fit, each, rows) for fit, rows in placed], 3)
     fold = np.repeat(np.arange(len(placed)), [len(rows) for _, rows in placed])
     return [
-        (Gain.of(*as_seen, fold), Gain.of(*as_commanded, fold)) for as_seen, as_commanded in errors
+        (Gain.of(seen[0], seen[1], fold), Gain.of(commanded[0], commanded[1], fold))
+        for seen, commanded in errors
     ]
 
 

@@ -156,12 +156,7 @@ def _fit_with(
 
 
 def _background_size(owner: Term, compliance: float) -> float:
-    """Return the size of a background effect's parameters, as a share of their priors.
-
-    Above a compliance of 1 only elastic effects get larger.
-    """
-    return (
-        BACKGROUND_COMPLIANCE * compliance
-        if owner.elastic
-        else BACKGROUND_REST * min(compliance, 1.0)
-    )
+    """Return the size of a background effect's parameters, as a share of their priors."""
+    if owner.elastic:
+        return BACKGROUND_COMPLIANCE * compliance
+    return BACKGROUND_REST * min(compliance, 1.0)  # the softest arm errs no more

@@ -172,13 +172,12 @@ def _fit_written_models(start: Model, found: ExplainedSession) -> dict[str, Mode
     """Fit the calibrated model, that with effects and that with functions, to the same rows."""
     whole = found.fit
     bare = fit_model(start, whole.session, **whole.noise_arguments)
-    more = found.found or found.tolerance.compliance
-    made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
-    functions = {t.key for f in found.found if f.unnamed for t in f.terms}
+    functions = keys_of(f for f in found.found if f.unnamed)
     if functions:
         less = fit_model(whole.model.without(functions), whole.session, **whole.noise_arguments)
-        made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
-    return made
+        return {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
+    more = found.found or found.tolerance.compliance
+    return {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
 
 
 def _fit_folds(

@@ -75,12 +75,10 @@ class Structure:
         """Return the structure with the result of a test other than the F test, which may flag it.
 
         Args:
-            p_value: probability of that test's result if there is no structure.
-            size_m: size of the structure by that test, m.
+            p_value, size_m, sign, chance: as the attributes, by that test; without a chance it is
+                that of `cause_probability`.
             least_m: smallest size that counts, m.
             by: name of the test's rows, for `inputs`.
-            sign: the result as a part of a sentence, for `sign`.
-            chance: probability of a cause; None: by `cause_probability`.
         """
         if self.flag or p_value > SIGNIFICANT or size_m < least_m:
             return self

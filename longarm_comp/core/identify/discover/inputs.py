@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -114,29 +115,24 @@ def read_arm_inputs(
         remembering: commanded joints, 0-based, whose last displacement is a quantity too, because
             an effect found there reads the joint's history.
     """
-    rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
     )
     made: list[FunctionInput] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
-    widest: dict[type, float] = {}
+    widest = defaultdict[type, float](float)
     for name in _list_names(arm, session, columns, remembering):
         found = quantity(name)
-        if not isinstance(found, (OfPosture, Recorded)) or not found.exists(arm):
-            continue
-        values = np.broadcast_to(np.asarray(found.read(posture), float), (rows,))
-        largest = widest.setdefault(type(found), float(np.ptp(values)))
-        widest[type(found)] = max(largest, float(np.ptp(values)))
-        read.append((name, found, values))
+        if isinstance(found, (OfPosture, Recorded)) and found.exists(arm):
+            values = np.broadcast_to(np.asarray(found.read(posture), float), (len(session),))
+            widest[type(found)] = max(widest[type(found)], float(np.ptp(values)))
+            read.append((name, found, values))
     for name, found, values in read:
-        if np.ptp(values) < _least_span(arm, posture, found, values, widest[type(found)]):
-            continue
-        _add_distinct(made, name, values, arm)
+        if np.ptp(values) >= _least_span(arm, posture, found, values, widest[type(found)]):
+            _add_distinct(made, name, values, arm)
     kept = {i.name for i in made} - {ORDER}
-    return FunctionInputs(
-        tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n
-    )
+    shared = tuple(n for n in ("sum_loads", *columns) if n in kept)
+    return FunctionInputs(tuple(made), shared, arm.n)
 
 
 def _least_span(

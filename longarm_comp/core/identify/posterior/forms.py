@@ -101,9 +101,8 @@ def _search_scales(
         chances = np.exp(found - found.max())
         mean = chances @ grid / chances.sum()
         centre = np.clip(mean, grid.min(axis=0), grid.max(axis=0))  # rounding may leave the scale
-        looked = [
-            _set_scales(term, fields, point) for point in (centre, grid[int(np.argmax(found))])
-        ]
+        points = centre, grid[int(np.argmax(found))]
+        looked = [_set_scales(term, fields, point) for point in points]
         closer = False
         for moved, now in zip(looked, worth(looked).tolist(), strict=True):
             if now > best + BETTER:

@@ -83,15 +83,10 @@ class OfferedEffects:
         best = find_explanation(self.bank, self.known, begun)
         offers = self._drop_idle_places(best.offers)
         evidence, values = self.bank.solve_together(offers)
-        every = [
-            FoundEffect(
-                self._terms_of(e.best, o, v),
-                e.presence,
-                self._bayes_factor(offers, k),
-                log_prior=o.log_prior,
-            )
-            for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
-        ]
+        every = []
+        for k, (effect, offer, value) in enumerate(zip(best.effects, offers, values, strict=True)):
+            terms, factor = self._terms_of(effect.best, offer, value), self._bayes_factor(offers, k)
+            every.append(FoundEffect(terms, effect.presence, factor, log_prior=offer.log_prior))
         found = tuple(f for f in every if f.presence >= CREDIBLE)
         doubtful = tuple(f for f in every if f.presence < CREDIBLE)
         return PosteriorResult(found, doubtful, self.base + evidence, best.effects)

@@ -80,8 +80,7 @@ def make_offers(
     moving, plain = _make_offers_that_move(fitted.model.arm, np.diag(own), raw, listed)
     every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
     free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
-    moving, plain = [moving[n] for n in free], [plain[n] for n in free]
-    things = [listed[n][0] for n in moving]
+    things, plain = [listed[moving[n]][0] for n in free], [plain[n] for n in free]
     at = {list_variants(c.terms): n for n, c in enumerate(things)}
     known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
     names = len({c.name for c in library})
