@@ -153,10 +153,11 @@ def judge_candidates(
 def _judge_unused(need: float, findings: Sequence[Finding], one: SmallestSize) -> tuple[State, str]:
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
-    alike = [f for f in findings if one.candidate.name in f.names[1:]]
-    places = set(one.candidate.where)  # a name of the set acts at one of these, or on the whole arm
-    if alike and (places & set(alike[0].where) or "arm" in places):
-        return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
+    places = set(one.candidate.where)
+    for found in findings:  # a name of a set acts at one of its places, or on the whole arm
+        near = "arm" in places or places & set(found.where)
+        if near and one.candidate.name in found.names[1:]:
+            return "rejected", f"these data cannot tell it from {found.name}, which was added"
     if value >= need:
         return "rejected", f"log Bayes factor {value:.1f}, but the other effects already explain it"
     if one.size <= INCREDIBLE:
