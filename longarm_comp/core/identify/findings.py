@@ -302,7 +302,7 @@ def complete_findings(
 
 
 _MOST = 4
-"""Largest number of values in a sentence."""
+"""Largest number of values in a sentence; report.json has all."""
 
 
 def describe_finding(finding: Finding) -> str:

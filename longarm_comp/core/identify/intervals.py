@@ -23,7 +23,8 @@ from longarm_comp.core.identify.posterior.forms import neighbouring_values
 LOOSE = 3.0
 """Smallest prior, as a multiple of the value found, that hardly changes the interval."""
 TOUCHES = 0.05
-"""A value counts as at its bound if it is nearer to it than this share of the interval."""
+"""A value counts as at its bound if it is nearer to it than this share of the interval, so that its
+side of the interval is a twentieth at most."""
 
 
 @dataclass(frozen=True)

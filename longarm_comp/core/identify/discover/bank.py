@@ -39,7 +39,8 @@ from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
 
 MOST_ROWS = 350
-"""Largest number of rows in the first selection; the best candidates are judged on all rows."""
+"""Largest number of rows in the first selection: about a thousand equations. The time grows with
+it, and the best candidates are judged on all rows anyway."""
 SHORTLIST = 60
 """Number of candidates of each kind that are judged on all rows. The first selection is rough: it
 takes the columns of a group for orthogonal."""

@@ -34,9 +34,10 @@ ANALYTIC = 0.25
 """Factor by which the Legendre coefficients of a physical function of one joint fall from one order
 to the next: about that of cos q over two radians. (Over four radians it is a half.)"""
 ORDERS = 5
-"""Highest Legendre order of a smooth function of one input."""
+"""Highest Legendre order of a smooth function of one input, which turns at most four times; faster
+ones are waves."""
 TOTAL = 3
-"""Highest sum of the Legendre orders of a smooth function of two inputs."""
+"""Highest sum of the Legendre orders of a smooth function of two inputs: nine coefficients."""
 LOOKS = 7
 """Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
 half a period is no shorter than the distance of two of these values."""

@@ -37,7 +37,7 @@ from longarm_comp.core.model.model import slots_of
 
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Possible prior standard deviations of the shift by a function without a name, in units of the
-noise."""
+noise. Each is ten times that before: nobody knows beforehand how large it is."""
 
 
 def make_offers(
