@@ -104,9 +104,9 @@ def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternat
     values = fit.model.values / prior_widths(fit.slots)
     data = fit.data - fit.design[:, fixed] @ values[fixed]
     design = np.concatenate([fit.design[:, stays], FitColumns(fit).white_columns(new)], axis=1)
-    limits = (np.array([getattr(s.parameter, end) for s in slots]) for end in ("lower", "upper"))
-    ends = (each / width for each in limits)
-    fitted = linear.solve_products(design.T @ design, design.T @ data, *ends)
+    lower = np.array([s.parameter.lower for s in slots]) / width
+    upper = np.array([s.parameter.upper for s in slots]) / width
+    fitted = linear.solve_products(design.T @ design, design.T @ data, lower, upper)
     covariance = fitted.covariance * np.outer(width, width)
     own = slice(len(kept), None)
     ways = np.linalg.solve(np.linalg.cholesky(covariance[own, own]), covariance[own])

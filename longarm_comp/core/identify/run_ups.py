@@ -88,10 +88,7 @@ def find_run_up(
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:
-        """Compute the log evidence of a length, with the postures of the fit without run-ups.
-
-        Run-ups change the history of the joints, and hardly the posture.
-        """
+        """Compute the log evidence of a length; the posture, which it hardly changes, is kept."""
         session = rows(length)
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -92,7 +92,11 @@ class FunctionBank:
             kind, *_ = place.component.split(" ")  # without its axis
             kinds.setdefault((place.at, kind), []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self._axes = _number_joint_axes(fit.model.arm, self._number)
+        arm = fit.model.arm
+        slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
+        own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
+        moving = self._number.keys() >= set(own)  # each joint along its own axis
+        self._axes = [self._number[spot] for spot in own] if moving else []
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
@@ -337,10 +341,3 @@ def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarr
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
     return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
-
-
-def _number_joint_axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
-    """Return the number of each commanded joint's component along its axis; [] if one lacks it."""
-    slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
-    own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
-    return [number[spot] for spot in own] if number.keys() >= set(own) else []

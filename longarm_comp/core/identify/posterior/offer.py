@@ -55,10 +55,9 @@ class Offer:
         An offer that loses no place is returned unchanged. A single place of several is an offer of
         its own in the bank.
         """
-        left = sum(key not in held for key in self.keys)
-        if left == len(self.keys):
+        if held.isdisjoint(self.keys):
             return self
-        return None if left < 2 else self.without(held)
+        return None if sum(key not in held for key in self.keys) < 2 else self.without(held)
 
     def without(self, held: Container[Hashable]) -> Offer:
         """Return the offer without the places in `held`."""

@@ -72,13 +72,11 @@ class OfferBank:
         self.like = np.arange(len(along)) if like is None else like
         self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
         each = np.array([offer.name for offer in offers])
-        self._of_name = {name: each == name for name in dict.fromkeys(each.tolist())}
+        self._of_name = {name: each == name for name in set(each.tolist())}
         self.again = math.log(max(0.5 * (names or len(self._of_name)), 1.0))
         self.together = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
-        self._at_site = {
-            site: np.array([offer.site == site for offer in offers])
-            for site in {offer.site for offer in offers if offer.site}
-        }
+        sites_of = np.array([offer.site for offer in offers])
+        self._at_site = {site: sites_of == site for site in set(sites_of.tolist())}
         # By the places that other effects take: what is left of the offers. Many sets of places
         # leave the same, so most of them share their tables.
         self._beside: dict[frozenset[Hashable], _Beside] = {}
