@@ -19,13 +19,13 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import FoundEffect, keys_of
+from longarm_comp.core.identify.posterior.offer import UNLIKELY
 from longarm_comp.core.model.alternatives import Alternative
 from longarm_comp.core.model.model import slots_of
 
-LEAST = 0.01
-"""Smallest probability of an alternative: less moves the radius of 90 of 100 commands little."""
 MOST = 8
-"""Largest number of alternatives; the likeliest stand for all."""
+"""Largest number of alternatives, each of which every command computes; the likeliest stand for
+all."""
 
 
 @dataclass(frozen=True)
@@ -42,12 +42,8 @@ def weigh_alternatives(
 ) -> tuple[Alternative, ...]:
     """List the explanations that may be true instead of that of a fitted model.
 
-    Found effects that the model does not hold are left out: their proof failed.
-
-    Args:
-        fit: the fit of the model.
-        found: the effects that were found.
-        doubtful: further effects that may be there.
+    Found effects that the model does not hold are left out: their proof failed.  So is what is
+    `UNLIKELY`, which hardly moves the radius of 90 of 100 commands, and what moves no tip.
     """
     held = {t.key for t in fit.model.terms}
     mine = [f for f in found if held.issuperset(t.key for t in f.terms)]
@@ -60,10 +56,15 @@ def weigh_alternatives(
             _Change(e.chance * c.chance, e.gone | c.gone, e.terms + c.terms)
             for e in every
             for c in (_Change(stays), *changes)
-            if e.chance * c.chance >= LEAST
+            if e.chance * c.chance >= UNLIKELY
         ]
+    still = {t.key for t in fit.model.terms if not slots_of(fit.model.arm, [t])}
     others = sorted((e for e in every if e.gone or e.terms), key=lambda e: -e.chance)
-    shown = [e for e in others if _has_parameters(fit, e)]
+    shown = [
+        e
+        for e in others
+        if still.isdisjoint(e.gone) and all(slots_of(fit.model.arm, [t]) for t in e.terms)
+    ]
     kept = shown[:MOST]
     share = sum(e.chance for e in shown) / (sum(e.chance for e in kept) or 1.0)
     return tuple(_make_alternative(fit, e, share * e.chance) for e in kept)
@@ -86,12 +87,6 @@ def _changes_of(found: FoundEffect, every: Sequence[FoundEffect]) -> Iterator[_C
         yield _Change(chance, own | keys_of(same), rival.candidate.terms)
 
 
-def _has_parameters(fit: ModelFit, change: _Change) -> bool:
-    """Tell whether every effect that comes or goes has parameters, by which it moves the tip."""
-    gone = [t for t in fit.model.terms if t.key in change.gone]
-    return all(slots_of(fit.model.arm, [t]) for t in (*gone, *change.terms))
-
-
 def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternative:
     """Fit the other effects in the place of those that go, by the columns of a fit.
 
@@ -101,19 +96,17 @@ def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternat
     leaves = {t.key for t in fit.model.terms if t.variant not in same} & change.gone
     held = {t.key for t in fit.model.terms} - leaves
     new = tuple({t.key: t for t in change.terms if t.key not in held}.values())
-    stays = np.array(
-        [s.owner.key not in leaves and not s.owner.through_others for s in fit.slots], bool
-    )
     fixed = np.array([s.owner.through_others for s in fit.slots], bool)
+    stays = np.array([s.owner.key not in leaves for s in fit.slots], bool) & ~fixed
     kept = [s for s, stay in zip(fit.slots, stays, strict=True) if stay]
     slots = (*kept, *slots_of(fit.model.arm, new))
     width = prior_widths(slots)
     values = fit.model.values / prior_widths(fit.slots)
     data = fit.data - fit.design[:, fixed] @ values[fixed]
     design = np.concatenate([fit.design[:, stays], FitColumns(fit).white_columns(new)], axis=1)
-    limits = (np.array([getattr(s.parameter, end) for s in slots]) for end in ("lower", "upper"))
-    ends = (each / width for each in limits)
-    fitted = linear.solve_products(design.T @ design, design.T @ data, *ends)
+    lower = np.array([s.parameter.lower for s in slots]) / width
+    upper = np.array([s.parameter.upper for s in slots]) / width
+    fitted = linear.solve_products(design.T @ design, design.T @ data, lower, upper)
     covariance = fitted.covariance * np.outer(width, width)
     own = slice(len(kept), None)
     ways = np.linalg.solve(np.linalg.cholesky(covariance[own, own]), covariance[own])

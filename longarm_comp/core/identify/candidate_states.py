@@ -78,21 +78,18 @@ def find_smallest_sizes(
     made = []
     for candidate, factor in zip(candidates, worth, strict=True):
         free = candidate.slots(fit.model.arm)
-        raw = (
-            columns.prior_columns(candidate.terms)
-            if free
-            else columns.shift_by(candidate.terms)[..., None]
-        )
+        raw = columns.prior_columns(candidate.terms)
+        if not free:
+            raw = columns.shift_by(candidate.terms)[..., None]
         b = fit.whiten_columns(raw)
         s = b.T @ marginal.project(b)
         values = np.clip(np.linalg.eigvalsh((s + s.T) / 2), 0.0, None)
         gain = float((values**2 / (1.0 + values)).sum())
-        if not free:
-            size = 1.0 if values.sum() / 2.0 >= threshold else math.inf
-        elif gain > 1e-12:
+        size = math.inf
+        if free and gain > 1e-12:
             size = math.sqrt((2.0 * threshold + float(np.log1p(values).sum())) / gain)
-        else:
-            size = math.inf
+        elif not free and values.sum() / 2.0 >= threshold:
+            size = 1.0
         length = rms_shift(fit, raw)
         made.append(SmallestSize(candidate, factor, size, size * length if length else math.inf))
     return tuple(made)
@@ -134,11 +131,10 @@ def judge_candidates(
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
         why = f"log Bayes factor {gain:.1f} on top of the rest{form}"
-        if term.key in written:
-            states[term.name, term.where] = gain, "accepted", why
-        else:
-            why += "; a command is expected to err less without it"
-            states[term.name, term.where] = gain, "rejected", why
+        state: State = "accepted"
+        if term.key not in written:
+            state, why = "rejected", f"{why}; a command is expected to err less without it"
+        states[term.name, term.where] = gain, state, why
     for at, one in best_forms(tried).items():
         states[at] = one.log_bayes_factor, *_judge_unused(search.needed_evidence, findings, one)
     ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
@@ -157,10 +153,11 @@ def judge_candidates(
 def _judge_unused(need: float, findings: Sequence[Finding], one: SmallestSize) -> tuple[State, str]:
     """Return the state of a candidate that is not in the model, and the reason."""
     value = one.log_bayes_factor
-    alike = [f for f in findings if one.candidate.name in f.names[1:]]
-    places = set(one.candidate.where)  # a name of the set acts at one of these, or on the whole arm
-    if alike and (places & set(alike[0].where) or "arm" in places):
-        return "rejected", f"these data cannot tell it from {alike[0].name}, which was added"
+    places = set(one.candidate.where)
+    for found in findings:  # a name of a set acts at one of its places, or on the whole arm
+        near = "arm" in places or places & set(found.where)
+        if near and one.candidate.name in found.names[1:]:
+            return "rejected", f"these data cannot tell it from {found.name}, which was added"
     if value >= need:
         return "rejected", f"log Bayes factor {value:.1f}, but the other effects already explain it"
     if one.size <= INCREDIBLE:

@@ -12,7 +12,6 @@ from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
-from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.plausible import (
     check_noise,
@@ -21,7 +20,6 @@ from longarm_comp.core.calibration.plausible import (
 )
 from longarm_comp.core.data.holdout import spread_rows
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -30,18 +28,15 @@ from longarm_comp.core.identify.findings import complete_findings, make_findings
 from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
-from longarm_comp.core.identify.proof import (
-    CALIBRATED,
-    Proof,
-)
-from longarm_comp.core.identify.proved_models import ProvedModels, Train, prove_written
+from longarm_comp.core.identify.proof import CALIBRATED
+from longarm_comp.core.identify.proved_models import Train, prove_written
 from longarm_comp.core.identify.run_ups import (
     find_run_up,
     set_run_up,
     with_fitted_run_ups,
     with_run_ups,
 )
-from longarm_comp.core.identify.structure import Structure, find_structure
+from longarm_comp.core.identify.structure import find_structure
 from longarm_comp.core.identify.structure_tests import with_held_out, with_left_out, with_scatter
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import choose_splitting_poses
@@ -109,10 +104,13 @@ def diagnose(
     say("held-out rows")
     proved = prove_written(nominal, staged, found, test, seed)
     say("structure")
-    structure = _find_structure(proved)
+    tolerated = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
+    structure = find_structure(found.fit, proved.fits[CALIBRATED], tolerated)
+    structure = with_scatter(with_left_out(structure, found.fit), found.fit)
+    structure = with_held_out(structure, proved.fullest)
     final = proved.final
     held = {t.key for t in final.model.terms}
-    added = [t for f in found.found for t in f.terms if t.key in held]
+    added = [t for t in found.chosen_terms if t.key in held]
     ends = compute_intervals(final, added, candidates)
     named = make_findings(found.found)
     named = complete_findings(named, arm, found.fit, final, ends, proved.fullest)
@@ -120,8 +118,11 @@ def diagnose(
     if structure.flag and train_network is not None and final.session.has_position.any():
         say("network")
         network, proof = proved.train_network(train_network, anew=test is None)
+    believed = mark_believed_rows(final, proved.held_out.take(proof.rows_at))
+    at = {name: error[believed] for name, error in proof.errors.items()}
     before = "the declared arm" if model is None else "the model before"
-    aside = _refuse_as_calibrate(final, proof, proved, before)
+    plainer = {"calibration": at[CALIBRATED], before: at["nominal"]}
+    aside = refuse_implausible(final, None, at[proved.written], plainer)
     without_name = list_causes(found.fit, found.found)
     unnamed = [t for cause in without_name for t in cause.terms]
     say("next poses")
@@ -163,64 +164,20 @@ def diagnose(
 def _prepare_rows(
     session: Session, test: Session | None, nominal: Model
 ) -> tuple[Session, Session | None]:
-    """Return the rows to fit and those to hold out (None: folds), with the inputs of effects.
+    """Return the rows to fit, about `MOST_ROWS` at most, and the rows to hold out (None: folds).
 
-    These are run-ups as long as those of `nominal`, and numbers of rows without a time.
+    The latter are those of `test`, or the rows with the label ``role`` "test", or else all rows
+    that are too many to fit. Run-ups are as long as those of `nominal`, and rows without a time
+    get numbers.
+
+    Raises:
+        InputError: there are rows of `test` and rows with the label.
     """
     session = with_fitted_run_ups(session, nominal)
     test = None if test is None else with_fitted_run_ups(test.on_clock_of(session), nominal)
     if not any(ORDER in e.inputs for e in nominal.terms):  # its events lie before this session
         test = None if test is None else _number_rows(test, len(session))
         session = _number_rows(session)
-    return _split_test_rows(session, test)
-
-
-def _find_structure(proved: ProvedModels) -> Structure:
-    """Find the structure that is left: in the fitted rows, in outliers, in held-out rows."""
-    found = proved.search
-    beside = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
-    structure = find_structure(found.fit, proved.fits[CALIBRATED], beside)
-    structure = with_scatter(with_left_out(structure, found.fit), found.fit)
-    return with_held_out(structure, proved.fullest)
-
-
-def _refuse_as_calibrate(
-    final: ModelFit, proof: Proof, proved: ProvedModels, before: str
-) -> SetAside:
-    """Raise JobError for a fit that `calibrate` would refuse; return the rows that it set aside.
-
-    Args:
-        before: what to call the model to which effects were added.
-    """
-    rows = proved.held_out.take(proof.rows_at)
-    at = {name: error[mark_believed_rows(final, rows)] for name, error in proof.errors.items()}
-    plainer = {"calibration": at[CALIBRATED], before: at["nominal"]}
-    return refuse_implausible(final, None, at[proved.written], plainer)
-
-
-def _number_rows(session: Session, first: int = 0) -> Session:
-    """Return a session with the row numbers in a column `ORDER`, unless it has this or the times.
-
-    Without these an event (a blow to a camera, another tool, a belt that jumps) is in no column.
-
-    Args:
-        first: number of the first row.
-    """
-    if not {"t_s", ORDER}.isdisjoint(session.columns):
-        return session
-    order = first + np.arange(len(session), dtype=float)
-    return dataclasses.replace(session, columns={**session.columns, ORDER: order})
-
-
-def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, Session | None]:
-    """Return the rows to fit, about `MOST_ROWS` at most, and the rows to hold out.
-
-    The latter are those of `test`, or the rows with the label ``role`` "test", or else all rows
-    that are too many to fit. None if there are none of these.
-
-    Raises:
-        InputError: there are rows of both.
-    """
     roles = session.labels.get("role", np.array([]))
     if (roles == "test").any() and (roles != "test").any():
         if test is not None:
@@ -230,3 +187,15 @@ def _split_test_rows(session: Session, test: Session | None) -> tuple[Session, S
     if test is None and not fitted.all():
         test = session.take(~fitted)
     return session.take(fitted), test
+
+
+def _number_rows(session: Session, first: int = 0) -> Session:
+    """Return a session with its row numbers, from `first` on, in a column `ORDER`.
+
+    A session with this column or times is unchanged. Without one of them an event (a blow to a
+    camera, another tool, a belt that jumps) is in no column.
+    """
+    if not {"t_s", ORDER}.isdisjoint(session.columns):
+        return session
+    order = first + np.arange(len(session), dtype=float)
+    return dataclasses.replace(session, columns={**session.columns, ORDER: order})

@@ -34,15 +34,16 @@ from longarm_comp.core.identify.findings import (
 from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.intervals import Interval
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
-from longarm_comp.core.identify.posterior.found import CREDIBLE
+from longarm_comp.core.identify.posterior.found import CREDIBLE, NONE
 from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS, Fold, Proof
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.planning.splitting_poses import SplittingPoses
 
-SPLITS = 3.0
-"""Smallest expected log odds between two names for which poses are worth measuring."""
+SPLITS = NONE
+"""Smallest expected log odds between two names for which poses are worth measuring: those from
+which an effect counts as found."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +53,15 @@ class Diagnosis:
     Attributes:
         arm: the declared arm.
         model_given: whether the model before was given; else it was that of the declared arm.
-        search: the explained session with which the search ended.
+        search, written, failed, models, folds, held_out: as in `ProvedModels`.
         findings: effects with a name, strongest first.
         causes: functions without a name, largest first.
         fits: fits of the models calibrated, with_effects and (if there are functions)
             with_functions, by name, to the same rows with the same noise.
         expected: by these names, the mean error, m, that a command is expected to have.
-        written: name of the model to use: the one of least expected error whose proof holds.
-        failed: how a fuller model failed its proof; empty if none did.
         intervals: intervals of the parameters of the model to use, by position in its slots.
         structure: the structure that is left in the residual.
         set_aside: rows that the fit of the model to use set aside as outliers.
-        models: nominal (the model before), frames_only and the models of `fits`.
-        folds: the same models fitted without some rows; every held-out row is in one fold.
         proof: errors of all models at the rows that they were fitted without.
         network: the predictor of the residual; None if it does not help at held-out poses.
         split_by: for each finding with other names, the poses that would tell them apart.
@@ -72,7 +69,6 @@ class Diagnosis:
         next_q: (M, n) poses that would settle these doubts, rad and m.
         not_testable: (effect, reason) of the candidates that could not be tested.
         train: rows that were fitted.
-        held_out: the rows of the proof.
         seed: seed of everything random.
     """
 
@@ -203,7 +199,11 @@ class Diagnosis:
 def _describe_findings(found: Diagnosis) -> str:
     left = describe_structure(found.structure)
     unnamed = f" {left} and has no name." if left else ""
-    gain = f"Held-out mean error {_describe_change(found)}"
+    before, after = (found.proof.rows[stage] for stage in found.compared_stages)
+    change = f"{before.mean_text} -> {after.mean_text}"
+    if before.n:  # else only orientations were measured
+        change = describe_improvement(found.seen_gain, found.commanded_gain)
+    gain = f"Held-out mean error {change}"
     if found.verdict == "noise":
         rows, aside = len(found.fit.session), len(found.set_aside.rows)
         noise = "only noise is left" + (f" in {rows - aside} of {rows} rows" if aside else "")
@@ -223,11 +223,3 @@ def _describe_findings(found: Diagnosis) -> str:
         text += "which was written"
     doubt = f" In doubt: {'; '.join(found.doubts)}." if found.doubts else ""
     return f"{text}. {gain}.{unnamed}{doubt}"
-
-
-def _describe_change(found: Diagnosis) -> str:
-    """Say the held-out errors before and after; of orientations if no positions were measured."""
-    before, after = (found.proof.rows[stage] for stage in found.compared_stages)
-    if not before.n:
-        return f"{before.mean_text} -> {after.mean_text}"
-    return describe_improvement(found.seen_gain, found.commanded_gain)

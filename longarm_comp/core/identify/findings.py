@@ -186,7 +186,9 @@ def _make_finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
         places = ", ".join(dict.fromkeys(t.place for t in unnamed.candidate.terms))
         other = f"a function without a name explains as much ({places})"
     names = (name, *(r.name for r in named if r.name in every))
-    runner = named[0] if named else None
+    runner = None
+    if named:
+        runner = RunnerUp(effect=named[0].name, log_bayes_factor=named[0].log_bayes_factor)
     made = Finding(
         effect=name,
         title=terms[0].heading(),
@@ -198,9 +200,7 @@ def _make_finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
         where=tuple(dict.fromkeys(t.where for t in terms)),
         log_bayes_factor=sum(f.log_bayes_factor for f in parts),
         parameters=(),
-        runner_up=None
-        if runner is None
-        else RunnerUp(effect=runner.name, log_bayes_factor=runner.log_bayes_factor),
+        runner_up=runner,
         compensated=all(t.commandable for t in terms),
         doubts=tuple(
             f"{p.name} could stand for its {p.part}" for p in _list_partial_aliases(parts)
@@ -302,18 +302,15 @@ def complete_findings(
 
 
 _MOST = 4
-"""Largest number of values in a sentence."""
+"""Largest number of values in a sentence; report.json has all."""
 
 
 def describe_finding(finding: Finding) -> str:
-    """Describe a finding in words: names, places, values with intervals, runner-up, doubts.
-
-    A parameter at its bound is no estimate and is left out.
-    """
+    """Describe a finding in words: names, places, values with intervals, runner-up, doubts."""
     values = []
     for p in finding.parameters:
         if p.ci95 is None and not finding.left_out:
-            continue
+            continue  # at its bound it is no estimate
         times, unit = for_people(p.unit)
         value, *ends = (f"{times * v:.3g}" for v in (p.value, *(p.ci95 or ())))
         within = f" [{', '.join(ends)}]" if ends else ""
@@ -339,8 +336,8 @@ def describe_finding(finding: Finding) -> str:
 
 def describe_improvement(seen: Gain, commanded: Gain) -> str:
     """Say the errors before and after, as commanded, and also as seen if these differ."""
-    told = [f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen)]
-    return told[0] if told[0] == told[1] else f"{told[0]} as commanded ({told[1]} as seen)"
+    tip, sight = (f"{1e3 * g.before:.2f} -> {1e3 * g.after:.2f} mm" for g in (commanded, seen))
+    return tip if tip == sight else f"{tip} as commanded ({sight} as seen)"
 
 
 def describe_structure(structure: Structure) -> str:

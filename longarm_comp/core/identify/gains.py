@@ -23,9 +23,9 @@ from longarm_comp.core.data.commanded import (
     own_way,
     with_frame_shift,
 )
+from longarm_comp.core.data.holdout import BLOCKS
 from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.identify.intervals import BLOCKS
 from longarm_comp.core.model.model import Model
 
 
@@ -45,19 +45,14 @@ class Gain:
 
     @classmethod
     def of(cls, before: np.ndarray, after: np.ndarray, fold: np.ndarray) -> Gain:
-        """Compute the gain from the (M, 3) errors, m, of two models on the same rows.
-
-        ``fold``: (M,) number of the fold of each row.
-        """
+        """Compute the gain from the (M, 3) errors, m, of two models on the same rows."""
         return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1), fold)
 
     @classmethod
     def of_lengths(cls, long: np.ndarray, short: np.ndarray, fold: np.ndarray) -> Gain:
         """Compute the gain from the (M,) lengths of the errors of two models on the same rows.
 
-        Args:
-            long, short: before and after, m.
-            fold: (M,) number of the fold of each row.
+        The lengths are `long` before and `short` after, m; `fold` (M,) numbers the folds.
         """
         if not len(long):
             return cls(0.0, 0.0, (0.0, 0.0))
@@ -73,9 +68,7 @@ class Gain:
 def _half_interval(off: np.ndarray, cluster: np.ndarray) -> float:
     """Return half of the 95 % interval of a mean by the scatter of clusters; 0 if there is one.
 
-    Args:
-        off: (M,) values minus their mean.
-        cluster: (M,) number of the cluster of each value.
+    `off` (M,) are the values minus their mean, `cluster` (M,) the numbers of their clusters.
     """
     names, at = np.unique(cluster, return_inverse=True)
     free = len(names) - 1
@@ -86,11 +79,7 @@ def _half_interval(off: np.ndarray, cluster: np.ndarray) -> float:
 
 
 def measure_tip_shift(fitted: ModelFit, places: set[tuple[str, str]]) -> np.ndarray:
-    """Return the (N,) shift, m, of the seen tip by some terms, at each fitted row.
-
-    Args:
-        places: keys (effect, place) of the terms.
-    """
+    """Return the (N,) shift, m, of the seen tip by the terms of some keys, at each fitted row."""
     still = fitted.model.without(places)
     moved = fitted.model.measured_at(fitted.posture)
     return np.linalg.norm(moved - still.measured_at(still.posture_near(fitted.posture)), axis=1)
@@ -109,57 +98,44 @@ def compute_gains(
         For each finding the gain in errors as seen, and that in errors as commanded.
     """
     placed = [(fit, rows.take(rows.placed)) for fit, rows in held_out]
-    folds = [_errors_without_each(fit, each, rows) for fit, rows in placed]
+    errors = np.concatenate([_errors_without_each(fit, each, rows) for fit, rows in placed], 3)
     fold = np.repeat(np.arange(len(placed)), [len(rows) for _, rows in placed])
-    made = []
-    for of_finding in zip(*folds, strict=True):
-        pairs = (
-            [np.concatenate(parts) for parts in zip(*each_fold, strict=True)]
-            for each_fold in zip(*of_finding, strict=True)
-        )
-        seen, commanded = (Gain.of(before, after, fold) for before, after in pairs)
-        made.append((seen, commanded))
-    return made
-
-
-Pair = tuple[np.ndarray, np.ndarray]
+    return [
+        (Gain.of(seen[0], seen[1], fold), Gain.of(commanded[0], commanded[1], fold))
+        for seen, commanded in errors
+    ]
 
 
 def _errors_without_each(
     fitted: ModelFit, each: Sequence[set[tuple[str, str]]], rows: Session
-) -> list[tuple[Pair, Pair]]:
-    """Compute the errors (M, 3), m, at rows without and with the terms of each finding.
+) -> np.ndarray:
+    """Compute the errors at M rows without and with the terms of each of F findings, m.
 
-    Returns:
-        For each finding two pairs (without, with): of errors as seen, and of errors as commanded.
+    Returns (F, 2, 2, M, 3): as seen, then as commanded; without the terms, then with them.
     """
+    made = np.zeros((len(each), 2, 2, len(rows), 3))
     if not len(rows):
-        none = np.zeros((0, 3))
-        return [((none, none), (none, none)) for _ in each]
+        return made
     model, own = fitted.model, own_way(rows)
     at = compute_posture(model, rows), compute_posture(as_commanded(model), own)
-    after = compute_tip_errors(model, rows, at[0]), commanded_errors(model, own, at[1])
-    held, made = {t.key for t in model.terms}, []
-    for places in each:
-        before = after
-        if not places.isdisjoint(held):
-            # A first-order fit may overshoot; the model without any new fit is then better
-            tried = (refit_without(fitted, places), model.without(places))
-            seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
-            nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
-            less = with_frame_shift(tried[nearest], fitted.session)
-            before = seen[nearest], commanded_errors(less, own, at[1])
-        made.append(((before[0], after[0]), (before[1], after[1])))
+    made[:, 0] = compute_tip_errors(model, rows, at[0])
+    made[:, 1] = commanded_errors(model, own, at[1])
+    for places, errors in zip(each, made, strict=True):
+        if places.isdisjoint(t.key for t in model.terms):
+            continue
+        # A first-order fit may overshoot; the model without any new fit is then better
+        tried = (refit_without(fitted, places), model.without(places))
+        seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
+        nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
+        less = with_frame_shift(tried[nearest], fitted.session)
+        errors[:, 0] = seen[nearest], commanded_errors(less, own, at[1])
     return made
 
 
 def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
-    """Return the model without some terms, all others fitted again to first order.
+    """Return the model without the terms of some keys, all others fitted again to first order.
 
     Background effects keep their values; otherwise they would replace the terms that are left out.
-
-    Args:
-        places: keys (effect, place) of the terms to leave out.
     """
     shares = dict(fitted.model.beyond)
     little = {s.owner.key for s in fitted.slots if shares.get(s.identity, 1.0) < 1.0} - places

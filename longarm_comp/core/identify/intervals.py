@@ -1,6 +1,7 @@
 """95 % intervals of the parameters of a fit.
 
-The standard deviation is the larger of two: by the Laplace approximation, and by blocks of rows.
+The standard deviation is the larger of two: by the Laplace approximation, and by `BLOCKS` blocks of
+successive rows.
 """
 
 from __future__ import annotations
@@ -16,15 +17,14 @@ from scipy.special import ndtri
 from longarm_comp.core.calibration.candidates import Candidate, Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.data.holdout import BLOCKS
 from longarm_comp.core.identify.posterior.forms import neighbouring_values
 
-BLOCKS = 20
-"""Number of blocks of successive rows by which scatter is estimated. Noise that is correlated over
-some rows stays within one block."""
 LOOSE = 3.0
 """Smallest prior, as a multiple of the value found, that hardly changes the interval."""
 TOUCHES = 0.05
-"""A value counts as at its bound if it is nearer to it than this share of the interval."""
+"""A value counts as at its bound if it is nearer to it than this share of the interval, so that its
+side of the interval is a twentieth at most."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +43,7 @@ class Interval:
 
 
 def compute_intervals(
-    fit: ModelFit,
-    found: Sequence[Term],
-    candidates: Sequence[Candidate],
+    fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> dict[int, Interval]:
     """Compute the intervals of a fit's parameters, by position in its slots.
 
@@ -57,7 +55,10 @@ def compute_intervals(
         found: the terms that a search added.
         candidates: the library.
     """
-    wider = _widen_priors(fit, found)
+    mine = {t.key for t in found}
+    sizes = np.abs(fit.model.values) / prior_widths(fit.slots)
+    sizes *= [slot.owner.key in mine for slot in fit.slots]
+    wider = np.maximum(1.0, LOOSE * sizes)  # it exists, so its size should follow from the data
     columns = FitColumns(fit)
     otherwise = [columns.prior_columns(_other_places(fit, found, candidates))]
     otherwise += _change_of_scales(fit, columns, found, candidates)
@@ -88,19 +89,6 @@ def compute_intervals(
     return made
 
 
-def _widen_priors(fit: ModelFit, found: Sequence[Term]) -> np.ndarray:
-    """Return the (p,) factors that make priors wide enough to leave the found values unchanged.
-
-    The existence of a found effect is decided already, so its size should follow from the data.
-    """
-    mine = {t.key for t in found}
-    sizes = [
-        abs(value) / slot.parameter.prior if slot.owner.key in mine else 0.0
-        for value, slot in zip(fit.model.values, fit.slots, strict=True)
-    ]
-    return np.maximum(1.0, LOOSE * np.array(sizes))
-
-
 def _other_places(
     fit: ModelFit, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> tuple[Term, ...]:
@@ -116,27 +104,21 @@ def _other_places(
 
 
 def _change_of_scales(
-    fit: ModelFit, columns: FitColumns, terms: Sequence[Term], candidates: Sequence[Candidate]
+    fit: ModelFit, columns: FitColumns, found: Sequence[Term], candidates: Sequence[Candidate]
 ) -> list[np.ndarray]:
-    """Return for each scale of the terms the change of the rows (N, d, 1), m or rad.
+    """Return for each scale of the found terms the change of the rows (N, d, 1), m or rad.
 
     The scale moves by half the distance of the tried values to both sides of it.
     """
+    held = {t.key: t for t in fit.model.terms}
     ways: list[tuple[Term, Term]] = []
-    for term in terms:
+    for term in (held[t.key] for t in found):
         for field in term.scales():
             low, high = neighbouring_values(term, field, candidates)
             here = float(getattr(term, field))
             half = 0.5 * (high - low) * (1.0 if here < 0.5 * (low + high) else -1.0)
             ways.append((term, dataclasses.replace(term, **{field: here + half})))
     columns.prior_columns([t for pair in ways for t in pair])  # all at once: much faster
-    made = []
-    for term, moved in ways:
-        values = [
-            v / slot.parameter.prior
-            for v, slot in zip(fit.model.values, fit.slots, strict=True)
-            if slot.owner.key == term.key
-        ]
-        change = (columns.prior_columns([moved]) - columns.prior_columns([term])) @ np.array(values)
-        made.append(change[..., None])
-    return made
+    return [
+        (columns.shift_by([moved]) - columns.shift_by([term]))[..., None] for term, moved in ways
+    ]

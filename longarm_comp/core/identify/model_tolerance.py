@@ -20,6 +20,7 @@ from longarm_comp.core.arm.context import PER_JOINT
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
+from longarm_comp.core.calibration.linear import SIZES
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
@@ -33,7 +34,6 @@ predicted no better than at 0.03."""
 BACKGROUND_REST = 0.005
 """The same share for all effects that are not elastic.  Beside the findings on Justin and UR5 the
 evidence is highest at 0.005 to 0.008."""
-
 
 OF_NOISE = 0.1
 """Shift of the rows, as a share of the noise, below which a background effect is left out of the
@@ -63,26 +63,26 @@ class ModelTolerance(NamedTuple):
         """Log prior, relative to that of an arm whose parts yield only a little."""
         return math.log(UNNAMED / len(SOFT) / FUNCTIONS) - NONE if self.is_soft else 0.0
 
-    @property
-    def elastic_share(self) -> float:
-        """Share of its prior that an elastic finding has; at most 1, and 1 if `compliance` is 0."""
-        return min(self.compliance, 1.0) or 1.0
-
 
 FORMS = (0.01, 0.03, 0.1)
 """Possible values of `ModelTolerance.form`, equally likely beforehand. Play, friction and stiffness
 of real joints differ by a tenth between positions of the joint."""
+_, FORM_KNOWN_WITHIN, _ = FORMS
+"""Share of its shift to which the form of a real joint is usually known. Two functions that differ
+by less are one."""
 STIFF = (1.0, 0.125, 0.0)
 """Possible values of `ModelTolerance.compliance`, equally likely beforehand. Arms of plastic and of
 steel differ by a factor of ten, the parts of one arm by less."""
-SOFT = (16.0, 4.0)
-"""Further values, at which all parts yield by up to half of a soft part: then no single part is to
-blame.  This counts as a cause without a name and has the prior of a function."""
+SOFT = tuple(sorted(set(SIZES) - set(STIFF), reverse=True))
+"""Further values, the sizes above the usual one: all parts yield by up to half of a soft part, and
+no single part is to blame.  This counts as a cause without a name and has the prior of a
+function."""
 FUNCTIONS = 1000
-"""Rough number of functions without a name on offer, equally likely."""
+"""Rough number of functions without a name on offer, equally likely: only its logarithm counts, and
+half or twice of it changes the log odds by less than 1."""
 TOLERANCES = tuple(ModelTolerance(form, share) for form in FORMS for share in (*STIFF, *SOFT))
 """All tolerances that are tried; their priors are `ModelTolerance.log_prior`."""
-RIGID = ModelTolerance(FORMS[0], 0.0)
+RIGID = ModelTolerance(min(FORMS), min(STIFF))
 """The tolerance without background compliance."""
 
 
@@ -122,9 +122,7 @@ def fit_with_background(
     Every effect on the arm that reads no recorded column is added, in its first form, if it moves
     the rows by at least `OF_NOISE`. For an elastic effect its prior size decides, not the fitted
     one, because under another load it may move the tip more; the model's `sigma` includes this.
-
-    Args:
-        compliance: as in `ModelTolerance`.
+    The compliance is that of `ModelTolerance`.
     """
     held = {t.key for t in fitted.model.terms}
     added: dict[tuple[str, str], Term] = {}
@@ -158,12 +156,7 @@ def _fit_with(
 
 
 def _background_size(owner: Term, compliance: float) -> float:
-    """Return the size of a background effect's parameters, as a share of their priors.
-
-    Above a compliance of 1 only elastic effects get larger.
-    """
-    return (
-        BACKGROUND_COMPLIANCE * compliance
-        if owner.elastic
-        else BACKGROUND_REST * min(compliance, 1.0)
-    )
+    """Return the size of a background effect's parameters, as a share of their priors."""
+    if owner.elastic:
+        return BACKGROUND_COMPLIANCE * compliance
+    return BACKGROUND_REST * min(compliance, 1.0)  # the softest arm errs no more

@@ -7,6 +7,7 @@ other rows.  The offers, their forms and the noise are those of all rows.
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -79,14 +80,7 @@ class Proof:
 
         A bias moves the sighting, not the tip, so a command does not have the error that it
         explains. The mean of the squared errors as seen and as commanded is taken. The weight of
-        the former is the probability that all found biases are really biases.
-
-        Args:
-            found: the effects of the fullest model.
-            names: names of the models.
-
-        Returns:
-            The errors by model name.
+        the former is the probability that all biases found in the fullest model are really biases.
         """
         ours = 1.0
         for f in found:
@@ -94,8 +88,8 @@ class Proof:
                 ours *= f.presence * f.chance_seen
         made = {}
         for name in names:
-            seen, told = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
-            made[name] = np.sqrt(ours * seen + (1.0 - ours) * told)
+            seen, commanded = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
+            made[name] = np.sqrt(ours * seen + (1.0 - ours) * commanded)
         return made
 
 
@@ -127,42 +121,25 @@ def prove_models(
         learned: returns for a fold a model and a predictor that was trained without its rows.
             Outside the predictor's domain the model alone predicts. None: no network is proved.
     """
-    seen, told, turned = (_Rows() for _ in range(3))
+    seen, commanded, turned = (defaultdict[str, list[np.ndarray]](list) for _ in range(3))
     for fold in made:
         placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.has_orientation))
-        at, turns_at = fold.numbers[fold.rows.placed], fold.numbers[fold.rows.has_orientation]
-        for name, model in fold.models.items():
-            seen.store_rows(name, at, compute_tip_errors(model, placed))
-            told.store_rows(name, at, commanded_errors(model, placed))
-            turned.store_rows(name, turns_at, compute_turn_errors(model, bent))
+        predictions = [(name, model, np.zeros(3)) for name, model in fold.models.items()]
         if learned is not None:
             model, network = learned(fold)
             expected = network.predict(placed.q, placed.context())
             known = (expected.in_domain & placed.has_position)[:, None]
-            error = np.where(known, expected.error, 0.0)
-            seen.store_rows(NETWORK, at, compute_tip_errors(model, placed) - error)
-            told.store_rows(NETWORK, at, commanded_errors(model, placed) - error)
-            turned.store_rows(NETWORK, turns_at, compute_turn_errors(model, bent))
+            predictions.append((NETWORK, model, np.where(known, expected.error, 0.0)))
+        for name, model, error in predictions:
+            seen[name].append(compute_tip_errors(model, placed) - error)
+            commanded[name].append(commanded_errors(model, placed) - error)
+            turned[name].append(compute_turn_errors(model, bent))
     each = [f.numbers[f.rows.placed] for f in made]
     rows_at, of_fold = np.concatenate(each), np.repeat(np.arange(len(made)), [*map(len, each)])
     order = np.argsort(rows_at)
-    return Proof(seen.in_order, told.in_order, turned.in_order, rows_at[order], of_fold[order])
-
-
-class _Rows:
-    """A store for errors of models, which come fold by fold with the positions of their rows."""
-
-    def __init__(self) -> None:
-        self._parts: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
-
-    def store_rows(self, name: str, at: np.ndarray, values: np.ndarray) -> None:
-        self._parts.setdefault(name, []).append((at, values))
-
-    @property
-    def in_order(self) -> dict[str, np.ndarray]:
-        """The errors by model name, in the order of the rows."""
-        made = {}
-        for name, parts in self._parts.items():
-            order = np.argsort(np.concatenate([at for at, _ in parts]))
-            made[name] = np.concatenate([values for _, values in parts])[order]
-        return made
+    turns = np.argsort(np.concatenate([f.numbers[f.rows.has_orientation] for f in made]))
+    at_seen, at_commanded, at_turned = (
+        {name: np.concatenate(parts)[rows] for name, parts in by_fold.items()}
+        for by_fold, rows in ((seen, order), (commanded, order), (turned, turns))
+    )
+    return Proof(at_seen, at_commanded, at_turned, rows_at[order], of_fold[order])

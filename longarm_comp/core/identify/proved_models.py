@@ -169,21 +169,15 @@ def choose_written(
 
 
 def _fit_written_models(start: Model, found: ExplainedSession) -> dict[str, ModelFit]:
-    """Fit the calibrated model, that with named effects and that with functions, to the same rows.
-
-    Args:
-        start: the model with its geometry.
-        found: the explained session, which holds all that was found.
-    """
+    """Fit the calibrated model, that with effects and that with functions, to the same rows."""
     whole = found.fit
     bare = fit_model(start, whole.session, **whole.noise_arguments)
-    more = found.found or found.tolerance.compliance
-    made = {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
-    functions = {t.key for f in found.found if f.unnamed for t in f.terms}
+    functions = keys_of(f for f in found.found if f.unnamed)
     if functions:
         less = fit_model(whole.model.without(functions), whole.session, **whole.noise_arguments)
-        made = {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
-    return made
+        return {CALIBRATED: bare, WITH_EFFECTS: less, WITH_FUNCTIONS: whole}
+    more = found.found or found.tolerance.compliance
+    return {CALIBRATED: bare, WITH_EFFECTS: whole if more else bare}
 
 
 def _fit_folds(
@@ -195,15 +189,7 @@ def _fit_folds(
 ) -> tuple[Session, tuple[Fold, ...]]:
     """Fit everything anew without each fold of the rows.
 
-    Args:
-        nominal: the model before.
-        frames_only: the same with its placements fitted.
-        fits: fits of the calibrated model and of fuller ones, to all rows.
-        search: the search that found the effects.
-        seed: seed of the folds.
-
-    Returns:
-        The rows that are held out once, and the folds.
+    Returns the rows that are held out once, and the folds.
 
     Raises:
         JobError: a fit without some rows did not stay finite.
@@ -229,12 +215,7 @@ def _fit_folds(
 def _refit_fold(
     fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
 ) -> dict[str, ModelFit]:
-    """Fit the models with the effects that a part of the rows alone would find, to this part.
-
-    Args:
-        fits: as in `_fit_folds`.
-        kept: (N,) bool, the part of the rows.
-    """
+    """Fit the models with the effects that a part of the rows alone would find, to this part."""
     whole, session = search.fit, search.fit.session.take(kept)
     judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -32,44 +33,34 @@ distinguish lengths within a factor of 1.5."""
 
 
 def remembers_run_up(term: Effect | Bias) -> bool:
-    """Tell whether an effect depends on the length of unrecorded run-ups.
-
-    Then it has a form `run_up`: the length for the whole session, which `find_run_up` finds.
-    """
+    """Tell whether an effect depends on the length of unrecorded run-ups, in its form `run_up`."""
     return isinstance(term, Effect) and "run_up" in term.forms
 
 
 def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
-    """Return the session with a length for the run-ups whose length was not recorded.
+    """Return the session with a length (rad) for all run-ups whose length was not recorded.
 
-    Args:
-        run_up: length of all of them, rad; slides move by the number times `SLIDE`, in m.
+    Slides move by the number times `SLIDE`, in m.
     """
     slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
     return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
 
 
 def with_fitted_run_ups(session: Session, model: Model) -> Session:
-    """Set run-ups of unrecorded length to the length with which a model was fitted.
-
-    It is the largest form `run_up` of the model's effects. If there is none, the session is
-    returned unchanged.
-    """
-    taken = [float(e.forms["run_up"]) for e in model.effects if remembers_run_up(e)]
+    """Set run-ups of unrecorded length to the longest of the model's effects, if there is one."""
+    taken = (float(e.forms["run_up"]) for e in model.effects if remembers_run_up(e))
     longest = max(taken, default=0.0)
     return with_run_ups(session, model.arm, longest) if longest else session
 
 
 def set_run_up(candidates: Iterable[Candidate], run_up: float) -> tuple[Candidate, ...]:
     """Return the candidates with the form `run_up` set to a length (rad), where they have it."""
-    forms: dict[str, float] = {"run_up": run_up}
-    return tuple(
-        Candidate(
-            c.name,
-            tuple(dataclasses.replace(t, **forms) if remembers_run_up(t) else t for t in c.terms),  # type: ignore[arg-type]
-        )
-        for c in candidates
-    )
+    forms: dict[str, Any] = {"run_up": run_up}
+    made = []
+    for c in candidates:
+        terms = (dataclasses.replace(t, **forms) if remembers_run_up(t) else t for t in c.terms)
+        made.append(Candidate(c.name, tuple(terms)))
+    return tuple(made)
 
 
 def find_run_up(
@@ -97,10 +88,7 @@ def find_run_up(
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:
-        """Compute the log evidence of a length, with the postures of the fit without run-ups.
-
-        Run-ups change the history of the joints, and hardly the posture.
-        """
+        """Compute the log evidence of a length; the posture, which it hardly changes, is kept."""
         session = rows(length)
         seen = session.take(session.seen)
         at = dataclasses.replace(fitted.posture, context=seen.context())

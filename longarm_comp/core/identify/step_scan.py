@@ -17,18 +17,17 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.identify.discover.functions import DENSE, REFINED
 from longarm_comp.core.model.model import slots_of
 
 COARSEST, FINEST = 12, 5000
 """Smallest and largest number of steps in a joint's range. With coarser steps they look like any
 function of the joint; the finest are a twentieth of a degree in 250 degrees."""
-POSITIONS = 2 * COARSEST
+POSITIONS = COARSEST + COARSEST
 """Number of positions at which a joint must have stood: two on each of the coarsest steps."""
-APART, FINER = 0.25, 20
+APART = 0.25
 """Difference of the numbers of steps that are tried first: at the end of the range they differ by
-this share of a step. And the number of parts into which it is divided around the best."""
-BEST = 8
-"""Number of peaks of the first search, which ignores the geometry, that are searched finely."""
+this share of a step."""
 
 
 def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candidate, ...]:
@@ -53,9 +52,8 @@ def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candi
             continue
         white = span * fitted.whiten_columns(column[..., None])[:, 0].reshape(len(q), -1)
         counts = _best_steps(q / span, white, marginal.projected_data.reshape(white.shape))
-        shifts = (
-            _rounding_errors(q / span * counts[:, None]) / counts[:, None]
-        )  # (B, M) of the range
+        turns = q / span * counts[:, None]
+        shifts = _rounding_errors(turns) / counts[:, None]  # (B, M) of the range
         white = (white * shifts[..., None]).reshape(len(counts), -1).T
         terms = [kind.of_step(arm, row, span / count) for count in counts.tolist()]
         projected = marginal.project(white)
@@ -72,10 +70,8 @@ def scan_steps(fitted: ModelFit, kind: type[Effect], need: float) -> tuple[Candi
 def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return the (B,) best numbers of steps in the range; overlap with the geometry is ignored.
 
-    Args:
-        share: (M,) positions in units of the joint's range.
-        white: (M, d) motion of the channels by the whole range, in units of the noise.
-        left: (M, d) residual of the fit, in units of the noise.
+    Here `share` (M,) are positions in units of the range, `white` (M, d) the whitened motion by the
+    whole range, and `left` (M, d) the whitened residual.
     """
     along, size = (white * left).sum(1), 0.5 * (white**2).sum(1)
 
@@ -89,8 +85,8 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
     gains = np.concatenate([gain(part, np.float32) for part in parts])
     inner = gains[1:-1]
     peaks = 1 + np.flatnonzero((inner >= gains[:-2]) & (inner >= gains[2:]))
-    first = counts[peaks[np.argsort(-gains[peaks])[:BEST]]]
-    near = first[:, None] + APART * np.arange(1 - FINER, FINER) / FINER
+    first = counts[peaks[np.argsort(-gains[peaks])[:REFINED]]]
+    near = first[:, None] + np.linspace(-APART, APART, DENSE)
     best = gain(near.reshape(-1)).reshape(near.shape).argmax(axis=1)
     return np.asarray(near[np.arange(len(near)), best])
 

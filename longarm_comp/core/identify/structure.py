@@ -29,12 +29,12 @@ from longarm_comp.core.identify.posterior.found import NONE
 SIGNIFICANT = 0.005
 """Largest p value at which structure counts: the probability of a false alarm."""
 WORTH = 0.25
-"""Smallest structure, as a share of the noise, that counts."""
+"""Smallest structure, as a share of the noise, that counts: it makes an error 3 % longer."""
 SMALLEST_M = 5e-5
 """Smallest structure at the tip that counts, m: servos and cameras are not more exact."""
 OF_SPREAD = 2e-4
 """Smallest structure on a small arm, as a share of the median distance of the sightings from their
-middle."""
+middle. It is the smaller limit if that is less than 25 cm."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +75,10 @@ class Structure:
         """Return the structure with the result of a test other than the F test, which may flag it.
 
         Args:
-            p_value: probability of that test's result if there is no structure.
-            size_m: size of the structure by that test, m.
+            p_value, size_m, sign, chance: as the attributes, by that test; without a chance it is
+                that of `cause_probability`.
             least_m: smallest size that counts, m.
             by: name of the test's rows, for `inputs`.
-            sign: the result as a part of a sentence, for `sign`.
-            chance: probability of a cause; None: by `cause_probability`.
         """
         if self.flag or p_value > SIGNIFICANT or size_m < least_m:
             return self
@@ -191,10 +189,13 @@ def list_groups(fit: ModelFit) -> list[Group]:
     """
     session = fit.session
     curves = [smooth_functions(session.q[:, j]) for j in range(session.n)]
+    noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * session.measured
     made = []
     for inputs, features in _tip_features(session, curves):
         if features.shape[1]:
-            columns = _move_each_channel(features, fit)
+            # A feature of 1 moves each channel alone by one standard deviation of its noise
+            columns = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
+            columns = columns.reshape(len(features), fit.width, -1)
             made.append(Group(inputs, "", columns))
             if len(inputs) == 1 and fit.width > 1:  # a motion along one axis shows less in three
                 each = np.split(columns, fit.width, axis=2)
@@ -216,11 +217,7 @@ Features = Iterator[tuple[tuple[str, ...], np.ndarray]]
 
 
 def _tip_features(session: Session, curves: list[np.ndarray]) -> Features:
-    """Yield the inputs, and functions (N, k) of these, by which the tip may move.
-
-    They are functions of each joint, products of two, functions of side and history of each joint,
-    and of each recorded column.
-    """
+    """Yield inputs and functions (N, k) of these: of joints, their history, recorded columns."""
     yield from _joint_features(curves)
     for j, curve in enumerate(curves):
         side = session.approach[:, j].astype(float)[:, None]
@@ -263,10 +260,7 @@ def legendre_polynomials(values: np.ndarray) -> np.ndarray:
 
 
 def _standardise(features: np.ndarray) -> np.ndarray:
-    """Return features (N, m) centred, orthogonal and of rms 1.
-
-    A feature that is a linear combination of those before it is dropped.
-    """
+    """Return features (N, m) centred, orthogonal and of rms 1, without dependent ones."""
     centred = _normalise(features)
     ways, new = np.linalg.qr(centred)
     left = np.diag(new)
@@ -278,13 +272,3 @@ def _normalise(features: np.ndarray) -> np.ndarray:
     centred = features - features.mean(0)
     size = np.sqrt((centred**2).mean(0))
     return centred[:, size > 1e-9] / size[size > 1e-9]
-
-
-def _move_each_channel(features: np.ndarray, fit: ModelFit) -> np.ndarray:
-    """Return the columns (N, d, d m) in which each of m features (N, m) moves one channel alone.
-
-    A feature of 1 moves the channel by one standard deviation of its noise.
-    """
-    noise = np.where(np.isfinite(fit.sigma), fit.sigma, 0.0) * fit.session.measured
-    each = features[:, None, None, :] * (noise[..., None] * np.eye(fit.width))[..., None]
-    return each.reshape(len(features), fit.width, -1)

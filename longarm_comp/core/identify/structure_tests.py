@@ -49,9 +49,8 @@ def with_held_out(structure: Structure, held_out: Sequence[tuple[ModelFit, Sessi
 def _compare_with_noise(fit: ModelFit, rows: Session) -> tuple[np.ndarray, np.ndarray]:
     """Compare the errors at rows that were not fitted with their noise.
 
-    Returns:
-        (M,) size of the error divided by the median that noise has, and (M,) variance of the noise,
-        m^2.
+    Returns (M,) size of the error divided by the median that noise has, and (M,) variance of the
+    noise, m^2.
     """
     found = make_equations(fit.model, rows)
     known = dict(zip(fit.session.channels, fit.sigma, strict=True))
@@ -76,13 +75,8 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     mean, among rows that measure the same channels, as it is and turned with the side from which a
     joint arrived; the scatter is taken as at least the noise. Nor do gross errors share a trait
     (`SetAside`).
-
-    Args:
-        structure: the structure by the fitted rows.
-        fit: the final fit.
     """
     known = np.isfinite(fit.sigma) & fit.session.measured
-    lengths = compute_unit_lengths(fit.model, fit.session)
     left_out, tried = np.flatnonzero(fit.weights == 0), list[tuple[float, float, int]]()
     for held in np.unique(known[left_out], axis=0):
         rows = left_out[(known[left_out] == held).all(axis=1)]
@@ -90,7 +84,7 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
         for turned in (np.ones(len(rows)), *sides):
             left = (turned[:, None] * fit.residual[rows][:, held])[turned != 0]
             if 0 < left.shape[1] < len(left):
-                size = float(np.linalg.norm(left.mean(0) * lengths[held]))
+                size = float(np.linalg.norm(left.mean(0) * fit.metres[held]))
                 tried.append((_test_mean(left / fit.sigma[held]), size, len(left)))
     least = smallest_that_matters(fit)
     if tried:
@@ -98,7 +92,7 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
         sign = f"is shared by {count} rows that no fit explains"
         structure = structure.add_test(p * len(tried), size, least, "rows left out", sign)
     for trait in SetAside.of(fit.session, fit.weights == 0).shared_by[:1]:
-        moved = np.where(known, fit.residual, 0.0)[left_out] * lengths
+        moved = np.where(known, fit.residual, 0.0)[left_out] * fit.metres
         size = float(np.sqrt((moved**2).sum(axis=1).mean()))
         sign = f"is in the rows that no fit explains, which share {trait}"
         structure = structure.add_test(trait.p_value, size, least, trait.input, sign)
@@ -115,12 +109,7 @@ def _test_mean(white: np.ndarray) -> float:
 
 
 def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
-    """Return the structure, also flagged if the scatter cannot be that of the sensor alone.
-
-    Args:
-        structure: the structure by the fitted rows.
-        fit: the final fit.
-    """
+    """Return the structure, also flagged if the scatter cannot be that of the sensor alone."""
     sensor, least = share_of_sensor(fit), smallest_that_matters(fit)
     size = float(np.linalg.norm(fit.noise_m)) * math.sqrt(1.0 - sensor.share)
     chance = 1.0 - sensor.whole
@@ -130,12 +119,8 @@ def with_scatter(structure: Structure, fit: ModelFit) -> Structure:
 def _sizes_left(a: np.ndarray, y: np.ndarray, measured: np.ndarray) -> np.ndarray:
     """Return the (N,) size of the residual of each row, standardised by its own variance.
 
-    Parameters with unit normal priors are fitted to the rows without outliers.
-
-    Args:
-        a: (N, d, p) columns of the parameters, in units of the noise.
-        y: (N, d) data in units of the noise.
-        measured: (N, d) bool.
+    Parameters with unit normal priors are fitted to the rows without outliers. Their columns
+    a (N, d, p) and the data y (N, d) are in units of the noise.
     """
     kept = mark_inliers(y, measured)[:, None]
     shared = (kept[..., None] * a).reshape(-1, a.shape[-1])

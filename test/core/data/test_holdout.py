@@ -20,7 +20,7 @@ from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.posterior.explain import _explain_halves
-from longarm_comp.core.identify.posterior.explained import ExplainedSession, judge_noise_and_fit
+from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import FoundEffect
 from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.identify.proof import describe_worsening
@@ -79,7 +79,7 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     rows = session([drives.JointGain(at(2, 0.02))])
     useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
     search = ExplanationSearch(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
-    first = judge_noise_and_fit(search.base, rows, [])
+    first = search.fit_geometry()
     poor = search.fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
     assert poor is not None
     rows_of, explain = [], ExplanationSearch.repeat_until_best

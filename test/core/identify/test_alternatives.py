@@ -24,8 +24,9 @@ from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.identify.alternatives import LEAST, MOST, weigh_alternatives
+from longarm_comp.core.identify.alternatives import MOST, weigh_alternatives
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.offer import UNLIKELY
 from longarm_comp.core.model.alternatives import Alternative
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
@@ -184,7 +185,7 @@ def test_absence_rivals_and_doubtful_effects_count_by_their_probability() -> Non
 
 def test_unlikely_alternatives_are_left_out_and_the_likeliest_stand_for_many() -> None:
     fit = fitted(ONCE)
-    assert not weigh_alternatives(fit, [found(fit, presence=1.0 - 0.9 * LEAST)], [])
+    assert not weigh_alternatives(fit, [found(fit, presence=1.0 - 0.9 * UNLIKELY)], [])
     forms = tuple(
         (Candidate(TWICE.name, (GearEccentricity(1, order=k),)), 0.0) for k in range(2, 13)
     )

@@ -13,6 +13,7 @@ from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.identify.candidate_states import SmallestSize, judge_candidates
 from longarm_comp.core.identify.findings import make_findings
 from longarm_comp.core.identify.posterior import explain
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
@@ -84,7 +85,7 @@ def test_effects_are_compared_with_their_rivals_until_none_is_better(
     monkeypatch.setattr(explain, "_compare_rivals", lambda search, state: (state, *next(answers)))
     search: Any = SimpleNamespace(repeat_until_best=lambda state: state)
     told: Any = state
-    assert explain._settle(search, told) == (state, (second, third))
+    assert explain._replace_by_rivals(search, told) == (state, (second, third))
     assert next(answers, None) is None
 
 
@@ -172,3 +173,17 @@ def test_a_function_alone_is_no_finding() -> None:
     assert alone.chance_unnamed == 1.0
     assert gain(5, ("discovered", 0.3)).chance_unnamed == pytest.approx(0.3)
     assert gain(5, ("gear_eccentricity", 0.3)).chance_unnamed == 0.0
+
+
+def test_a_name_that_two_findings_may_have_is_told_of_the_one_at_its_place() -> None:
+    """A gear may be the tilt at joint 5, which is stronger, or the gain at joint 2."""
+    tilt = FoundEffect(TILT.terms, 0.99, 50.0, 0.7, (Rival(GEAR, 48.0, 0.3),))
+    findings = make_findings([gain(2, ("gear_eccentricity", 0.3)), tilt])
+    blank: Any = SimpleNamespace(model=None, known_columns=({}, {}, {}))
+    search: Any = SimpleNamespace(fit=blank, chosen_terms=(), needed_evidence=5.0)
+    gears = [Candidate("gear_eccentricity", (GearEccentricity(k),)) for k in (2, 5, 3)]
+    tried = [SmallestSize(gear, 20.0 - k, 1.0, 1e-3) for k, gear in enumerate(gears)]
+    why = [one.why for one in judge_candidates(search, findings, (), tried, ())]
+    assert why[0] == "these data cannot tell it from joint_gain, which was added"
+    assert why[1] == "these data cannot tell it from bearing_tilt, which was added"
+    assert why[2] == "log Bayes factor 18.0, but the other effects already explain it"

@@ -118,7 +118,6 @@ def test_a_function_is_found_where_the_geometry_is_exact(exact: ExplainedSession
 
 
 @pytest.mark.long
-@pytest.mark.xfail(raises=AssertionError, reason="8.7 N/rad x q2 along x of joint 5, alone")
 def test_twice_the_rows_tell_a_weaker_hose_exactly() -> None:
     cause = alone(DEMO, HosePull(row=5, first=1, second=4, pull=10.0), rows=2 * ROWS, seed=1)
     assert cause.where[0] == "joint 5, force y"

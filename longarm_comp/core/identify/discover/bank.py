@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.linear import Marginal
-from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly
 from longarm_comp.core.data.measurement import make_equations
 from longarm_comp.core.effects.discovered import (
     CAMERA,
@@ -39,7 +39,8 @@ from longarm_comp.core.identify.posterior.offers import AMPLITUDES
 from longarm_comp.core.model.model import slots_of
 
 MOST_ROWS = 350
-"""Largest number of rows in the first selection; the best candidates are judged on all rows."""
+"""Largest number of rows in the first selection: about a thousand equations. The time grows with
+it, and the best candidates are judged on all rows anyway."""
 SHORTLIST = 60
 """Number of candidates of each kind that are judged on all rows. The first selection is rough: it
 takes the columns of a group for orthogonal."""
@@ -54,11 +55,6 @@ class Spot:
 
     at: str
     component: str
-
-    @property
-    def kind(self) -> tuple[str, str]:
-        """The place, and the component without its axis."""
-        return self.at, self.component.split(" ")[0]
 
 
 @dataclass(frozen=True)
@@ -80,61 +76,52 @@ class FunctionBank:
     """All candidates of one side, the arm's or the camera's: components times functions.
 
     Args:
-        fit: the fit, with its rows, noise and columns.
+        fit: the fit, with its rows, columns and noise, which does not correlate rows (``rho`` 0).
         places: the K components, with their places.
         units: (N, d, K) motion of the d channels by a unit of each component, m or rad.
         functions: G functions at the N rows.
     """
 
     def __init__(
-        self,
-        fit: ModelFit,
-        places: Sequence[Spot],
-        units: np.ndarray,
-        functions: Functions,
+        self, fit: ModelFit, places: Sequence[Spot], units: np.ndarray, functions: Functions
     ) -> None:
         self.fit, self.places, self.units, self.functions = fit, tuple(places), units, functions
         self._number = {place: k for k, place in enumerate(self.places)}
         kinds: dict[tuple[str, str], list[int]] = {}
         for k, place in enumerate(self.places):
-            kinds.setdefault(place.kind, []).append(k)
+            kind, *_ = place.component.split(" ")  # without its axis
+            kinds.setdefault((place.at, kind), []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
-        self._axes = _number_joint_axes(fit.model.arm, self._number)
+        arm = fit.model.arm
+        slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
+        own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
+        moving = self._number.keys() >= set(own)  # each joint along its own axis
+        self._axes = [self._number[spot] for spot in own] if moving else []
         self._single = [g for g in functions.groups if len(g.functions) == 1]
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
     def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """Return the (C,) log odds of each candidate against none, priors included.
+        """Return the (C,) log odds of each candidate alone against none, priors included.
 
-        Args:
-            marginal: the columns that are in the model already, at all inliers
-                (`marginalise_columns`).
-            listed: the C candidates, each judged alone.
+        The columns that are in the model already are marginalised.
         """
         made = np.array([h.log_prior for h in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
             alike = np.flatnonzero(counts == count)
             for portion in np.array_split(alike, max(len(alike) * count // SHORTLIST, 1)):
-                made[portion] += self._evidence_of_alike(
-                    marginal, [listed[n] for n in portion.tolist()]
-                )
+                some = [listed[n] for n in portion.tolist()]
+                white = self._white_columns([member for h in some for member in h.members])
+                unit = white * (np.concatenate([h.decay for h in some]) / self._rms_shift(white))
+                t = (marginal.projected_data @ unit).reshape(len(some), count)
+                several = unit.reshape(len(unit), len(some), count).transpose(1, 2, 0)
+                projected = marginal.project(unit).reshape(len(unit), len(some), count)
+                s = several @ projected.transpose(1, 0, 2)
+                values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
+                z = np.einsum("cij,ci->cj", turned, t)
+                each = _evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1)
+                made[portion] += _average_amplitudes(each)
         return made
-
-    def _evidence_of_alike(
-        self, marginal: Marginal, listed: Sequence[FunctionCandidate]
-    ) -> np.ndarray:
-        """Return the (C,) log evidence of candidates that all have the same number of members."""
-        count = len(listed[0].members)
-        white = self._white_columns([member for h in listed for member in h.members])
-        unit = white * (np.concatenate([h.decay for h in listed]) / self._rms_shift(white))
-        t = (marginal.projected_data @ unit).reshape(len(listed), count)
-        several = unit.reshape(len(unit), len(listed), count).transpose(1, 2, 0)
-        projected = marginal.project(unit).reshape(len(unit), len(listed), count)
-        s = several @ projected.transpose(1, 0, 2)
-        values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
-        z = np.einsum("cij,ci->cj", turned, t)
-        return _average_amplitudes(_evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1))
 
     def unit_shifts(self, candidate: FunctionCandidate) -> np.ndarray:
         """Return the (r,) rms shift of the rows by a unit of each of r members, in noise units."""
@@ -146,8 +133,7 @@ class FunctionBank:
             self.units[:, :, self._number[p]] * self.functions.values_of(f)[:, None]
             for p, f in members
         ]
-        columns = np.stack(made, axis=-1) * channel_weights(self.fit)[..., None]
-        return columns[self.fit.weights > 0].reshape(-1, len(members))
+        return self.fit.whiten_columns(np.stack(made, axis=-1))
 
     def _rms_shift(self, white: np.ndarray) -> np.ndarray:
         """Return the (r,) rms over the rows of whitened columns (d M, r), at least 1e-150."""
@@ -161,14 +147,16 @@ class FunctionBank:
 
         Args:
             kept: (p,) mask of the fit's columns, which are projected out of all candidates.
-            left: residuals (N, d), whitened, of the fit or of the fit without an effect.
+            left: whitened residuals (dM,) of the fit, and of the fit without an effect.
 
         Returns:
             For each residual, for each kind, its best candidates.
         """
-        rows = choose_evenly(np.flatnonzero(self.fit.weights > 0), MOST_ROWS)
-        white = (self.units * channel_weights(self.fit)[..., None])[rows].astype(np.float32)
-        values = self.functions.values[rows]
+        inliers, width = np.flatnonzero(self.fit.weights > 0), self.fit.width
+        rows = choose_evenly(np.arange(len(inliers)), MOST_ROWS)
+        white = self.fit.whiten_columns(self.units).reshape(len(inliers), width, -1)
+        white = white[rows].astype(np.float32)
+        values = self.functions.values[inliers[rows]]
         size = np.sqrt((values**2).mean(axis=0))
         values = (values / np.where(size > 0, size, 1.0)).astype(np.float32)
         raw = np.einsum("nck,nck->kn", white, white) @ values**2
@@ -176,8 +164,9 @@ class FunctionBank:
         usable = (raw > 1e-25) & (s > _WEAK * raw)
         unit = np.maximum(raw / len(rows), 1e-30)
         made = []
-        for whole in left:
-            t = np.einsum("nc,nck->kn", whole[rows].astype(np.float32), white) @ values
+        for residual in left:
+            y = residual.reshape(-1, width)[rows].astype(np.float32)
+            t = np.einsum("nc,nck->kn", y, white) @ values
             each = _evidence_by_amplitude(t / np.sqrt(unit), np.maximum(s, _WEAK * raw) / unit)
             made.append(
                 list(self._best_of_kinds(np.where(usable, _average_amplitudes(each), -np.inf)))
@@ -189,14 +178,12 @@ class FunctionBank:
     ) -> np.ndarray:
         """Return the (K, G) part of each candidate's square that the fit's columns explain.
 
-        Args:
-            rows: numbers of the M selected rows.
-            kept: (p,) mask of the fit's columns.
-            white: (M, d, K) motion by a unit of each component, in units of the noise.
-            values: (M, G) values of the functions.
+        Here `white` (m, d, K) are the whitened components, and `values` (m, G) the functions, at
+        m rows, whose numbers among the M inliers are `rows`.
         """
-        design = whitened_design(self.fit)[rows][..., kept]
-        flat = flatten_design(design)
+        of_rows = (len(self.fit.design) // self.fit.width, self.fit.width, len(kept))
+        design = self.fit.design.reshape(of_rows)[rows][..., kept]
+        flat = design.reshape(design.shape[0] * design.shape[1], -1)
         factor = cholesky(flat.T @ flat + np.eye(flat.shape[1]), lower=True)
         turned = np.einsum("ncp,nck->pkn", design, white, optimize=True)
         if turned.size:
@@ -213,16 +200,13 @@ class FunctionBank:
     def _best_of_kinds(self, worth: np.ndarray) -> Iterator[list[FunctionCandidate]]:
         """Yield the best candidates of each kind, one list per kind.
 
-        Args:
-            worth: (K, G) log evidence of each component with each function. For candidates with
-                several columns it is summed, as if these were orthogonal.
+        The log evidence `worth` (K, G) of each component with each function is summed for
+        candidates with several columns, as if these were orthogonal.
         """
         alone = [g.functions[0] for g in self._single]
-        for sharp in (False, True):
-            prior = [
-                self._log_prior(g) if g.family.has_threshold == sharp else -np.inf
-                for g in self._single
-            ]
+        sharp = {FunctionFamily.SWITCH, FunctionFamily.CONTACT}
+        for families in (set(FunctionFamily) - sharp, sharp):
+            prior = [self._log_prior(g) if g.family in families else -np.inf for g in self._single]
             best = _largest_entries(worth[:, alone] + np.array(prior))
             yield [self._make_candidate([(k, alone[n])], self._single[n]) for k, n in best]
         several = []
@@ -258,8 +242,7 @@ class FunctionBank:
     ) -> FunctionCandidate:
         """Make a candidate from (number of component, number of function) pairs.
 
-        Args:
-            group: the group of the functions; None: one function for each joint.
+        Without a `group` there is one function for each joint.
         """
         named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
         if group is None:
@@ -282,11 +265,8 @@ class FunctionBank:
 def _evidence_by_amplitude(t: np.ndarray, s: np.ndarray) -> np.ndarray:
     """Compute the (A, ...) log evidence of columns at each of A amplitudes.
 
-    A unit of each column shifts the rows by one standard deviation of the noise, rms.
-
-    Args:
-        t: projected products of the columns with the data.
-        s: projected products of the columns with themselves.
+    The projected products of the columns with the data are `t`, with themselves `s`. A unit of each
+    column shifts the rows by one standard deviation of the noise, rms.
     """
     square = np.array(AMPLITUDES, dtype=t.dtype).reshape(-1, *(1,) * t.ndim) ** 2
     grown = 1.0 + square * s
@@ -299,51 +279,9 @@ def _average_amplitudes(each: np.ndarray) -> np.ndarray:
 
 
 def _sum_evidence(each: np.ndarray) -> np.ndarray:
-    """Return the sum (...) of the log evidence of r columns (r, ...); -inf entries do not count.
-
-    If all are -inf, so is the sum.
-    """
+    """Return the sum (...) of the finite log evidence of r columns (r, ...); -inf if none is."""
     seen = np.isfinite(each)
     return np.where(seen.any(axis=0), np.where(seen, each, 0.0).sum(axis=0), -np.inf)
-
-
-def channel_weights(fit: ModelFit) -> np.ndarray:
-    """Return (N, d) the root of the row's weight / sigma of the channel; 0 where not measured."""
-    held = np.isfinite(fit.sigma) & fit.session.measured
-    return np.where(held, np.sqrt(fit.weights)[:, None] / fit.sigma, 0.0)
-
-
-def whitened_design(fit: ModelFit) -> np.ndarray:
-    """Return the design (N, d, p) of a fit, scaled by the priors and divided by the noise."""
-    return fit.columns * prior_widths(fit.slots) * channel_weights(fit)[..., None]
-
-
-def flatten_design(design: np.ndarray) -> np.ndarray:
-    """Reshape a design (N, d, p) to (N d, p), also for p = 0."""
-    return design.reshape(design.shape[0] * design.shape[1], design.shape[2])
-
-
-def marginalise_columns(
-    fit: ModelFit, kept: np.ndarray, beside: np.ndarray
-) -> tuple[Marginal, np.ndarray]:
-    """Marginalise some of a model's columns, as if the noise of rows were independent.
-
-    Args:
-        kept: (p,) mask of the columns of the model.
-        beside: (m, k) further columns, whitened in the same way.
-
-    Returns:
-        The marginal, and the whitened residual (N, d) that the columns leave; 0 at outliers.
-    """
-    inside = fit.weights > 0
-    weights = channel_weights(fit)
-    design = whitened_design(fit)[inside]
-    data = (fit.residual + fit.columns @ fit.model.values) * weights
-    columns = np.concatenate([flatten_design(design)[:, kept], beside], axis=1)
-    marginal = Marginal(columns, data[inside].ravel())
-    left = np.zeros(data.shape)
-    left[inside] = marginal.projected_data.reshape(-1, data.shape[1])
-    return marginal, left
 
 
 def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
@@ -358,8 +296,7 @@ def _largest_entries(table: np.ndarray) -> list[tuple[int, int]]:
 def make_banks(fit: ModelFit, remembering: Collection[int] = ()) -> tuple[FunctionBank, ...]:
     """Make the bank of the arm's side and, if positions are measured, those of the camera's.
 
-    Args:
-        remembering: as in `read_arm_inputs`.
+    The joints `remembering` are those of `read_arm_inputs`.
     """
     arm, rows = fit.model.arm, fit.session
     spots = [Spot(place, name) for place in _list_places(arm) for name in components(arm)]
@@ -404,13 +341,3 @@ def _keep_moving(fit: ModelFit, spots: list[Spot]) -> tuple[list[Spot], np.ndarr
     largest = np.abs(columns).max(axis=(0, 1))
     moving = largest > np.finfo(float).eps * largest.max(initial=0.0)
     return [spot for spot, moves in zip(spots, moving, strict=True) if moves], columns[..., moving]
-
-
-def _number_joint_axes(arm: Arm, number: Mapping[Spot, int]) -> list[int]:
-    """Return for each commanded joint the number of the component along its own axis.
-
-    The list is empty if a joint lacks this component.
-    """
-    slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
-    own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
-    return [number[spot] for spot in own] if number.keys() >= set(own) else []

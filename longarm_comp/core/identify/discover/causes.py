@@ -93,9 +93,12 @@ def _describe_cause(fit: ModelFit, found: FoundEffect) -> Cause:
         shift = shift + value * fit.columns[..., i]
     size = np.linalg.norm(shift * fit.metres, axis=1)
     likely = [r for r in found.rivals if r.probability > 1 - CREDIBLE]
+    own, *alike = (
+        " and ".join(dict.fromkeys(places)) for places in ([t.where for t in terms], *found.where)
+    )
     return Cause(
         terms=terms,
-        where=_list_places(terms, found),
+        where=tuple(dict.fromkeys((own, *words.seen_alike(terms), *alike))),
         names=tuple((r.name, r.probability) for r in likely),
         formula=words.formula(terms, figures),
         reading=words.reading(terms),
@@ -107,13 +110,6 @@ def _describe_cause(fit: ModelFit, found: FoundEffect) -> Cause:
         tip_m=(float(np.sqrt((size**2).mean())), float(size.max())),
         compensated=all(t.commandable for t in terms),
     )
-
-
-def _list_places(terms: Sequence[Found], found: FoundEffect) -> tuple[str, ...]:
-    """Return the places at which a cause may act: that in the model, then equally good ones."""
-    first = " and ".join(dict.fromkeys(t.where for t in terms))
-    other = [" and ".join(dict.fromkeys(places)) for places in found.where]
-    return (*dict.fromkeys((first, *words.seen_alike(terms), *other)),)
 
 
 def describe_doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:

@@ -34,15 +34,19 @@ ANALYTIC = 0.25
 """Factor by which the Legendre coefficients of a physical function of one joint fall from one order
 to the next: about that of cos q over two radians. (Over four radians it is a half.)"""
 ORDERS = 5
-"""Highest Legendre order of a smooth function of one input."""
+"""Highest Legendre order of a smooth function of one input, which turns at most four times; faster
+ones are waves."""
 TOTAL = 3
-"""Highest sum of the Legendre orders of a smooth function of two inputs."""
+"""Highest sum of the Legendre orders of a smooth function of two inputs: nine coefficients."""
 LOOKS = 7
 """Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
 half a period is no shorter than the distance of two of these values."""
-DENSE = LOOKS**2
+DENSE = LOOKS * LOOKS
 """Number of values on the fine grid around the best. If rows were set aside as outliers, the whole
 scale of a form is searched that finely."""
+REFINED = 4
+"""Number of the best candidates of a rough search that are searched finely: the log prior of a
+refined function includes the choice among these."""
 
 
 class FunctionFamily(Enum):
@@ -59,11 +63,6 @@ class FunctionFamily(Enum):
     CONTACT = "contact"
     EACH_JOINT = "the same at each joint"
     OWN_JOINT = "smooth in a joint, along its axis"
-
-    @property
-    def has_threshold(self) -> bool:
-        """True for functions that jump or bend at a threshold: switch and contact."""
-        return self in (FunctionFamily.SWITCH, FunctionFamily.CONTACT)
 
 
 OWN = ("q", "load_", "side_")
@@ -124,7 +123,7 @@ class Functions:
         """(N, G) values of all functions."""
         return np.stack(self._values, axis=1)
 
-    def add_function(self, *factors: Shape) -> int:
+    def _add_function(self, factors: tuple[Shape, ...]) -> int:
         """Return the number in `listed` of a product of shapes, and add it if it is new."""
         made = Function(factors)
         if made not in self._numbers:
@@ -137,18 +136,17 @@ class Functions:
         """Return the (N,) values of any function of the inputs."""
         values = np.ones(len(self.inputs.all[0].values)) if self.inputs.all else np.ones(0)
         for factor in made.factors:
-            values = values * self._values_of_shape(factor)
+            if factor not in self._shapes:
+                of = self.inputs.by_name[factor.of]
+                self._shapes[factor] = np.asarray(factor.at(of.values))
+            values = values * self._shapes[factor]
         return values
 
-    def _values_of_shape(self, shape: Shape) -> np.ndarray:
-        """Return the (N,) values of a shape, each computed once."""
-        if shape not in self._shapes:
-            self._shapes[shape] = np.asarray(shape.at(self.inputs.by_name[shape.of].values))
-        return self._shapes[shape]
-
     def _add_group(
-        self, family: FunctionFamily, *numbers: int, decay: Sequence[float] = ()
+        self, family: FunctionFamily, *products: tuple[Shape, ...], decay: Sequence[float] = ()
     ) -> None:
+        """Add products of shapes that are fitted together, but none without an input `of`."""
+        numbers = [self._add_function(factors) for factors in products]
         of = {n: self.listed[n].quantities for n in numbers}
         kept = dict(zip(numbers, decay or [1.0] * len(numbers), strict=True))
         if self._of is not None:
@@ -160,80 +158,69 @@ class Functions:
     def _add_every_family(self) -> None:
         inputs = self.inputs.all
         own = {f"q{j + 1}": j for j in range(self.inputs.joints)}
-        self._add_group(FunctionFamily.CONSTANT, self.add_function())
+        self._add_group(FunctionFamily.CONSTANT, ())
         for one in inputs:
-            self._add_group(FunctionFamily.LINEAR, self.add_function(_make_linear(one)))
+            self._add_group(FunctionFamily.LINEAR, (_make_linear(one),))
         for one in inputs:
             if not one.shows_curves:
                 continue
             for kind in (Square, SignedSquare):
                 if (kind is Square and not one.is_far_from_zero) or one.low < 0 < one.high:
-                    self._add_group(FunctionFamily.SQUARE, self.add_function(kind(*one.domain)))
+                    self._add_group(FunctionFamily.SQUARE, (kind(*one.domain),))
             for order in list_orders(one):
-                pair = [self.add_function(kind(*one.domain, order)) for kind in (Cosine, Sine)]
-                self._add_group(FunctionFamily.WAVE, *pair)
-            top = min(ORDERS, one.levels - 2)
-            if top > 1:
-                some = [self.add_function(Legendre(*one.domain, n)) for n in range(1, top + 1)]
-                decay = [1.0 / n for n in range(1, top + 1)]
-                self._add_group(FunctionFamily.SMOOTH, *some, decay=decay)
+                waves = [(kind(*one.domain, order),) for kind in (Cosine, Sine)]
+                self._add_group(FunctionFamily.WAVE, *waves)
+            orders = range(1, min(ORDERS, one.levels - 2) + 1)
+            if len(orders) > 1:
+                curves = [(Legendre(*one.domain, n),) for n in orders]
+                self._add_group(FunctionFamily.SMOOTH, *curves, decay=[1.0 / n for n in orders])
                 if one.name in own:
-                    falls = tuple(ANALYTIC ** (n - 1) for n in range(1, top + 1))
                     self.own_joint[own[one.name]] = FunctionGroup(
-                        FunctionFamily.OWN_JOINT, tuple(some), falls
+                        FunctionFamily.OWN_JOINT,
+                        tuple(self._add_function(curve) for curve in curves),
+                        tuple(ANALYTIC ** (n - 1) for n in orders),
                     )
             for threshold in list_thresholds(one):
-                self._add_group(
-                    FunctionFamily.SWITCH, self.add_function(make_switch(one, threshold))
-                )
+                self._add_group(FunctionFamily.SWITCH, (make_switch(one, threshold),))
                 for side in (Above, Below):
-                    self._add_group(
-                        FunctionFamily.CONTACT, self.add_function(side(*one.domain, threshold))
-                    )
+                    self._add_group(FunctionFamily.CONTACT, (side(*one.domain, threshold),))
         for a, b in combinations(inputs, 2):
-            self._add_group(
-                FunctionFamily.PRODUCT, self.add_function(_make_linear(a), _make_linear(b))
-            )
+            self._add_group(FunctionFamily.PRODUCT, (_make_linear(a), _make_linear(b)))
         plain = (i for i in inputs if i.name.startswith("q") or i.name in self.inputs.shared)
         for a, b in combinations([i for i in plain if i.levels > 1], 2):
             self._add_smooth_pair(a, b)
-        self._add_each_joint()
-
-    def _add_each_joint(self) -> None:
-        """Add sets with one function for each joint: an input of the joint times a shared input.
-
-        The last displacements of the joints alone are a further set.
-        """
-        held = self.inputs.by_name
-        joints = range(self.inputs.joints)
-        for shared in (held[name] for name in self.inputs.shared):
+        for name in self.inputs.shared:
             for word in OWN:
-                of = [(j, held[f"{word}{j + 1}"]) for j in joints if f"{word}{j + 1}" in held]
-                made = [
-                    (j, self.add_function(_make_linear(own), _make_linear(shared))) for j, own in of
-                ]
-                self._add_at_each_joint(made)
-        ways = [(j, held[f"way_{j + 1}"]) for j in joints if f"way_{j + 1}" in held]
-        self._add_at_each_joint([(j, self.add_function(_make_linear(way))) for j, way in ways])
+                self._add_each_joint(word, (_make_linear(self.inputs.by_name[name]),))
+        self._add_each_joint("way_", ())
 
-    def _add_at_each_joint(self, made: Sequence[tuple[int, int]]) -> None:
+    def _add_each_joint(self, word: str, shared: tuple[Shape, ...]) -> None:
+        """Add an input of each joint, times what the joints share, as a set with one for each."""
+        numbered = (
+            (j, self.inputs.by_name.get(f"{word}{j + 1}")) for j in range(self.inputs.joints)
+        )
+        made = [
+            (j, self._add_function((_make_linear(own), *shared)))
+            for j, own in numbered
+            if own is not None
+        ]
         if len(made) > 1:
             self.each_joint.append(tuple(made))
 
     def _add_smooth_pair(self, a: FunctionInput, b: FunctionInput) -> None:
         """Add a smooth function of two inputs: joint positions, or inputs that all joints share."""
-        numbers, decay = [], []
+        products, decay = [], []
         for i in range(TOTAL + 1):
             for j in range(TOTAL + 1 - i):
                 if i + j == 0 or i >= max(a.levels - 1, 2) or j >= max(b.levels - 1, 2):
                     continue
                 if (i > 1 and not a.shows_curves) or (j > 1 and not b.shows_curves):
                     continue
-                factors = [Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n]
-                numbers.append(self.add_function(*factors))
+                factors = (Legendre(*one.domain, n) for one, n in ((a, i), (b, j)) if n)
+                products.append(tuple(factors))
                 decay.append(1.0 / (i + j))
-        if len(numbers) > 3:
-            self._add_group(FunctionFamily.SMOOTH_PAIR, *numbers, decay=decay)
+        if len(products) > 3:
+            self._add_group(FunctionFamily.SMOOTH_PAIR, *products, decay=decay)
 
 
 def _make_linear(one: FunctionInput) -> Shape:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,16 +25,15 @@ from longarm_comp.core.effects.quantities import (
     quantity,
 )
 from longarm_comp.core.effects.shapes import LARGEST
+from longarm_comp.core.identify.model_tolerance import FORM_KNOWN_WITHIN
 
-ALIKE = 0.9995
-"""Correlation above which two inputs count as one."""
-LEAST_SPAN = 0.03
-"""Smallest range of a load or of gravity's direction, as a share of the widest of its kind, that
-counts. Less may be sag or an error of declared masses and lengths, right to a few percent."""
+FINE = FORM_KNOWN_WITHIN
+"""Smallest part of a range that counts. Two inputs count as one if one explains the other but for
+this part, rms. Values count as one if they differ by less: a sagging arm blurs the positions of its
+joints. A load or a direction of gravity counts if its range is larger than this part of the widest
+of its kind: less may be sag or an error of declared masses and lengths, right to a few percent."""
 FEW_LEVELS = 3
 """With this many positions of a joint or fewer, no curve of it can be told from another."""
-_FINE = 50
-_FAR = 20.0
 
 SEEN = "seen_"
 """Prefix of the names of the seen point's coordinates."""
@@ -46,7 +46,7 @@ class FunctionInput:
     Attributes:
         name: name of the quantity (`core/effects/quantities.py`).
         values: (N,) its values.
-        levels: number of distinct values, to a fiftieth of the range (a sagging arm blurs them).
+        levels: number of distinct values (`count_levels`).
         circular: whether it is an angle, of which harmonics are tried.
         smooth: whether it is a coordinate of the seen point: errors of lenses have no waves or
             thresholds.
@@ -77,8 +77,8 @@ class FunctionInput:
 
     @property
     def is_far_from_zero(self) -> bool:
-        """True if its values are far from zero compared with their range, as a date in seconds."""
-        return abs(self.low + self.high) > 2 * _FAR * (self.high - self.low)
+        """True if its range is a small part of its values (`FINE`), as of a date in seconds."""
+        return FINE * abs(self.low + self.high) / 2 > self.high - self.low
 
     @property
     def shows_curves(self) -> bool:
@@ -88,7 +88,7 @@ class FunctionInput:
 
 @dataclass(frozen=True)
 class FunctionInputs:
-    """The quantities that a discovered function may depend on, no two of them alike (`ALIKE`).
+    """The quantities that a discovered function may depend on, no two of them alike (`FINE`).
 
     Attributes:
         shared: names of those that all joints share (sum of loads, time, recorded columns).
@@ -115,29 +115,24 @@ def read_arm_inputs(
         remembering: commanded joints, 0-based, whose last displacement is a quantity too, because
             an effect found there reads the joint's history.
     """
-    rows = len(session)
     columns = tuple(
         "warmth" if n == "temperature_c" else n for n in session.columns if is_column(n)
     )
     made: list[FunctionInput] = []
     read: list[tuple[str, Quantity, np.ndarray]] = []
-    widest: dict[type, float] = {}
+    widest = defaultdict[type, float](float)
     for name in _list_names(arm, session, columns, remembering):
         found = quantity(name)
-        if not isinstance(found, (OfPosture, Recorded)) or not found.exists(arm):
-            continue
-        values = np.broadcast_to(np.asarray(found.read(posture), float), (rows,))
-        largest = widest.setdefault(type(found), float(np.ptp(values)))
-        widest[type(found)] = max(largest, float(np.ptp(values)))
-        read.append((name, found, values))
+        if isinstance(found, (OfPosture, Recorded)) and found.exists(arm):
+            values = np.broadcast_to(np.asarray(found.read(posture), float), (len(session),))
+            widest[type(found)] = max(widest[type(found)], float(np.ptp(values)))
+            read.append((name, found, values))
     for name, found, values in read:
-        if np.ptp(values) < _least_span(arm, posture, found, values, widest[type(found)]):
-            continue
-        _add_distinct(made, name, values, arm)
+        if np.ptp(values) >= _least_span(arm, posture, found, values, widest[type(found)]):
+            _add_distinct(made, name, values, arm)
     kept = {i.name for i in made} - {ORDER}
-    return FunctionInputs(
-        tuple(made), tuple(n for n in ("sum_loads", *columns) if n in kept), arm.n
-    )
+    shared = tuple(n for n in ("sum_loads", *columns) if n in kept)
+    return FunctionInputs(tuple(made), shared, arm.n)
 
 
 def _least_span(
@@ -145,9 +140,7 @@ def _least_span(
 ) -> float:
     """Return the span below which a quantity is left out, because it is not known well enough.
 
-    Args:
-        values: (N,) the quantity at the rows.
-        widest: largest span of a quantity of its class.
+    Of the quantities of its class the one of largest span spans `widest`.
     """
     if isinstance(found, (JointPosition, JointSide, JointWay)):
         span = float(np.ptp(np.asarray(posture.q[found.joint], float)))
@@ -155,7 +148,7 @@ def _least_span(
     if not isinstance(found, OfPosture):
         return 0.0
     largest = float(np.abs(values).max(initial=0.0))
-    share = 0.0 if isinstance(found, Span) else LEAST_SPAN * max(widest, LEAST_SPAN * largest)
+    share = 0.0 if isinstance(found, Span) else FINE * max(widest, FINE * largest)
     return max(share, found.resolution)
 
 
@@ -191,20 +184,19 @@ def _list_names(
 def _add_distinct(
     made: list[FunctionInput], name: str, values: np.ndarray, arm: Arm | None
 ) -> None:
-    """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`ALIKE`).
+    """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`FINE`).
 
-    Args:
-        arm: None on the measuring side.
+    There is no `arm` on the measuring side.
     """
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))
     if span <= 1e-9 * max(1.0, largest) or largest > LARGEST:
         return
     centred = values - values.mean()
-    size = float(np.linalg.norm(centred))
     for other in made:
         against = other.values - other.values.mean()
-        if abs(float(centred @ against)) > ALIKE * size * float(np.linalg.norm(against)):
+        squares = float(centred @ centred) * float(against @ against)
+        if float(centred @ against) ** 2 > (1.0 - FINE**2) * squares:
             return
     found = quantity(name)
     circular = arm is not None and isinstance(found, JointPosition) and found.unit(arm) == "rad"
@@ -215,6 +207,6 @@ def _add_distinct(
 
 
 def count_levels(values: np.ndarray) -> int:
-    """Return the number of distinct values, to a fiftieth of their range."""
+    """Return the number of values that are distinct by more than `FINE` of their range."""
     span = float(np.ptp(values)) or 1.0
-    return len(np.unique(np.round(_FINE * (values - values.min()) / span)))
+    return len(np.unique(np.round((values - values.min()) / (FINE * span))))

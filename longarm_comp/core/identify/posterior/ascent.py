@@ -9,11 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from longarm_comp.core.calibration.linear import BETTER
-from longarm_comp.core.identify.posterior.offer import UNLIKELY, Offer, OtherEffects, SingleEffect
+from longarm_comp.core.identify.posterior.offer import (
+    ROUNDS,
+    UNLIKELY,
+    Offer,
+    OtherEffects,
+    SingleEffect,
+)
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 
-SWEEPS = 30
-"""Largest number of sweeps over the effects; five to ten are usual."""
 AT_ONCE = 3
 """Largest number of single effects that one call adds. The forms of large effects must be fitted
 before smaller effects can be told from them."""
@@ -62,8 +66,7 @@ def find_explanation(
     most = len(known) + AT_ONCE
     starts = [_add_effects(bank, (), frozenset(), most)]
     if begun or known:
-        standing = begun or as_certain(bank, known)
-        starts.append(_add_effects(bank, standing, frozenset(), most))
+        starts.append(_add_effects(bank, begun or as_certain(bank, known), frozenset(), most))
     best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
@@ -81,11 +84,7 @@ def find_explanation(
 
 
 def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
-    """Return one certain effect for each of some offers.
-
-    Args:
-        known: numbers of the offers; their coefficients are solved together.
-    """
+    """Return one certain effect for each of the known offers, which are solved together."""
     offers = [bank.offers[n] for n in known]
     made = []
     for n, offer, values in zip(known, offers, bank.solve_together(offers)[1], strict=True):
@@ -99,12 +98,9 @@ def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
 def _add_effects(
     bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
 ) -> Explanation:
-    """Add single effects, one at a time, until a new one is probably absent.
+    """Add single effects to `start`, until a new one is probably absent or there are `most`.
 
-    Args:
-        start: the effects to begin with.
-        shut: numbers of the offers that are excluded.
-        most: number of effects at which to stop.
+    The offers whose numbers are in `shut` are excluded.
     """
     effects = list(start)
     while len(effects) < most:
@@ -120,13 +116,9 @@ def _add_effects(
 def _sweep_effects(
     bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
 ) -> list[SingleEffect]:
-    """Update each effect from the residual of the others until no probability changes any more.
-
-    Args:
-        shut: numbers of the offers that are excluded.
-    """
+    """Update each effect from the residual of the others until no probability changes any more."""
     taken = np.sum([e.mean for e in effects], axis=0)
-    for _ in range(SWEEPS):
+    for _ in range(ROUNDS):
         moved = 0.0
         for k in reversed(range(len(effects))):
             was = effects[k]

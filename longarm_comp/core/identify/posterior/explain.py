@@ -17,15 +17,11 @@ from longarm_comp.core.data.holdout import split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.model_tolerance import fit_with_background
-from longarm_comp.core.identify.posterior.explained import (
-    ExplainedSession,
-    drop_idle,
-    judge_noise_and_fit,
-    widen_prior,
-)
+from longarm_comp.core.identify.posterior.explained import ExplainedSession, widen_prior
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, replace_effect
+from longarm_comp.core.identify.posterior.offer import ROUNDS
 from longarm_comp.core.identify.posterior.resampled import SAMPLES, Resampling
-from longarm_comp.core.identify.posterior.search import ROUNDS, ExplanationSearch
+from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.model.model import Model
 
 
@@ -58,10 +54,10 @@ def explain_session(
     say = progress or (lambda _: None)
     search = ExplanationSearch(base, session, list(candidates), known_noise, stepped, say)
     say("geometry")
-    state = judge_noise_and_fit(base, session, search.candidates, known=known_noise)
+    state = search.fit_geometry()
     weighed = not any(t.through_others for t in base.terms)
     state = search.repeat_until_best(state) if weighed else _start_soft(search, state)
-    of_halves: Halves = ()
+    of_halves: tuple[tuple[FoundEffect, ...], ...] = ()
     if functions:  # only beside the best named effects
         state, _, changed = _compare_rivals(search, state)
         state = search.repeat_until_best(state) if changed else state
@@ -69,7 +65,7 @@ def explain_session(
         state = search.repeat_until_best(search.repeat_until_best(state), functions=True)
         state, of_halves = _explain_halves(search, state, seed)
     for _ in range(ROUNDS):
-        state, doubtful = _settle(search, state)
+        state, doubtful = _replace_by_rivals(search, state)
         better, absence = _compare_absence(search, state)
         if better is None:
             break
@@ -80,25 +76,16 @@ def explain_session(
     return replace(_converge_fit(search, state), doubtful=doubtful)
 
 
-Halves = tuple[tuple[FoundEffect, ...], ...]
-
-
 def _average_samples(
     search: ExplanationSearch,
     state: ExplainedSession,
     absence: Mapping[str, tuple[FoundEffect, float]],
-    of_halves: Halves,
+    of_halves: tuple[tuple[FoundEffect, ...], ...],
     seed: int,
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...]]:
-    """Average the probabilities over samples of the rows, and drop effects that few samples show.
+    """Average the probabilities over samples of the rows.
 
-    Args:
-        absence: the second result of `_compare_absence`.
-        of_halves: the effects found on each half of the rows.
-        seed: seed of the samples.
-
-    Returns:
-        The new state, and the effects that were dropped.
+    Returns the new state, and the effects that are dropped from it because few samples show them.
     """
     tolerance = search.weigh_tolerances(state.fit, state.found)[1]
     linear = Resampling(
@@ -120,23 +107,31 @@ def _average_samples(
 
 
 def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
-    """Return the state with its fit converged, and with the background compliance."""
-    rest = search.other_compliance(state)
-    closed = fit_model(
-        state.fit.model, search.session, begun=state.fit, **state.fit.noise_arguments
-    )
-    fitted = drop_idle(fit_with_background(closed, search.candidates, rest) if rest else closed)
+    """Return the state with its fit converged, and with the background compliance.
+
+    If an elastic effect was found, other parts may be as soft without a penalty of the prior.
+    Effects that act only through others, as a mass through a part that yields under load, are left
+    out if none of these is there.
+    """
+    soft, noise = any(t.elastic for t in state.chosen_terms), state.fit.noise_arguments
+    every = search.offer_by_tolerance(state.fit, state.found, others=False)
+    best = max(every, key=lambda b: b.evidence_pruned - b.tolerance.log_prior * soft)
+    fitted = fit_model(state.fit.model, search.session, begun=state.fit, **noise)
+    if best.tolerance.compliance:
+        fitted = fit_with_background(fitted, search.candidates, best.tolerance.compliance)
+    idle = {e.key for e in fitted.model.effects if e.through_others}
+    if idle and not any(e.loaded for e in fitted.model.effects if e.key not in idle):
+        fitted = fit_model(fitted.model.without(idle), search.session, near=fitted, **noise)
     known = {t.variant: t for t in fitted.model.terms}
     held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
     return replace(state, fit=fitted, found=tuple(held), candidates=tuple(search.candidates))
 
 
 def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
-    """Return the best state of an arm that declares no weights.
+    """Search also from each elastic effect at all of its places, if that has a higher evidence.
 
-    The search also starts from each elastic effect at all of its places, if that has a higher
-    evidence. Such an arm's weights are estimated only by a fit: without an elastic effect they have
-    no columns, and after a fit with the wrong effect the columns favour the wrong part.
+    The weights of an arm that declares none are estimated only by a fit: without an elastic effect
+    they have no columns, and after a fit with the wrong effect the columns favour the wrong part.
     """
     best = search.repeat_until_best(state)
     for c in search.candidates:
@@ -154,21 +149,17 @@ def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> Explained
 
 def _explain_halves(
     search: ExplanationSearch, state: ExplainedSession, seed: int
-) -> tuple[ExplainedSession, Halves]:
+) -> tuple[ExplainedSession, tuple[tuple[FoundEffect, ...], ...]]:
     """Explain each half of the rows alone, and try these explanations on all rows.
 
     This is done only if the state contains functions without a name. If there are many causes,
     none may raise the evidence enough while the others count as noise, so the ascent stops early.
-    On other rows it stops elsewhere. The effects of each half are also a sample of what another
-    session would show.
+    On other rows it stops elsewhere.
 
-    Args:
-        seed: seed of the division.
-
-    Returns:
-        The better state, and the effects found on each half; empty without functions.
+    Returns the better state, and the effects found on each half: a sample of what another session
+    would show.
     """
-    of_halves: Halves = ()
+    of_halves: tuple[tuple[FoundEffect, ...], ...] = ()
     if not any(f.unnamed for f in state.found):
         return state, of_halves
     for rows in split_in_half(search.session, seed):
@@ -184,13 +175,12 @@ def _explain_halves(
     return state, of_halves
 
 
-def _settle(
+def _replace_by_rivals(
     search: ExplanationSearch, state: ExplainedSession
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...]]:
     """Compare every effect with its rivals, and explain again, until no rival is better.
 
-    Returns:
-        The state, and the doubtful effects.
+    Returns the state, and the doubtful effects.
     """
     doubtful: tuple[FoundEffect, ...] = ()
     for _ in range(ROUNDS):
@@ -208,9 +198,8 @@ def _compare_rivals(
 ) -> tuple[ExplainedSession, tuple[FoundEffect, ...], bool]:
     """Converge the fit, and compare every effect with its rivals, each fitted in its place.
 
-    Returns:
-        The state, the doubtful effects, and whether an effect was dropped or replaced, so that
-        everything must be explained again.
+    Returns the state, the doubtful effects, and whether an effect was dropped or replaced, so that
+    everything must be explained again.
     """
     was = state.fit
     state = replace(
@@ -251,9 +240,8 @@ def _compare_absence(
     never finds them. This is not tried for elastic effects, nor if the explanation contains no
     function without a name.
 
-    Returns:
-        The first better explanation, or None; and for each name the function that would replace
-        it, with the log odds of that explanation.
+    Returns the first better explanation, or None; and for each name the function that would replace
+    it, with the log odds of that explanation.
     """
     absence: dict[str, tuple[FoundEffect, float]] = {}
     if not any(f.unnamed for f in state.found):

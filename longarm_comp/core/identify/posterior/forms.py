@@ -91,10 +91,7 @@ def _search_scales(
 ) -> Term:
     """Return the term with the scales of highest worth, on finer and finer grids.
 
-    Args:
-        term: returned unchanged if no form is better.
-        grid: (M, s) values of the s scales on the first grid.
-        worth: returns the worth of each of some terms.
+    It is unchanged if no form is better. The first grid (M, s) has M values of the s scales.
     """
     fields = list(term.scales())
     least = float(worth([term])[0]) + BETTER
@@ -177,9 +174,6 @@ def neighbouring_values(
     """Return the next lower and next higher value of a term's scale in the library.
 
     If there is none, it is the end of the scale.
-
-    Args:
-        field: name of the scale.
     """
     return _nearest_values(float(getattr(term, field)), _list_tried_values(term, field, candidates))
 

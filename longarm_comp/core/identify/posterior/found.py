@@ -69,11 +69,6 @@ class Rival:
         """True for a function without a name, False for an effect of the library."""
         return not self.candidate.terms[0].searched
 
-    @property
-    def on_measuring_side(self) -> bool:
-        """True for a bias: it moves the sighting, not the tip."""
-        return isinstance(self.candidate.terms[0], Bias)
-
 
 @dataclass(frozen=True)
 class FoundEffect:
@@ -134,8 +129,9 @@ class FoundEffect:
 
     @property
     def chance_seen(self) -> float:
-        """Probability that it is a bias, not an effect on the arm, given that it exists."""
-        others = sum(r.probability for r in self.rivals if r.on_measuring_side)
+        """Probability that it is a bias: it exists, and moves the sighting, not the tip."""
+        biases = (r for r in self.rivals if isinstance(r.candidate.terms[0], Bias))
+        others = sum(r.probability for r in biases)
         return others + self.chance if isinstance(self.terms[0], Bias) else others
 
     @property
@@ -167,10 +163,10 @@ class FoundEffect:
             self.loose,
         )
         every = [mine, *self.rivals]
-        told = sum(r.probability for r in every if r.judged not in worth) or 1.0
+        unfitted = sum(r.probability for r in every if r.judged not in worth) or 1.0
         shared = Counter(r.judged for r in every)
         every = [
-            replace(r, probability=stays * r.probability / told)
+            replace(r, probability=stays * r.probability / unfitted)
             if r.judged not in worth
             else replace(
                 r,
@@ -191,15 +187,14 @@ class FoundEffect:
         """
         share = float(expit(odds))
         worth = self.log_bayes_factor + odds
-        rest = [replace(r, probability=(1.0 - share) * r.probability) for r in self.rivals]
-        known = [r for r in rest if r.name == other.name]
-        mine = Rival(Candidate(other.name, other.terms), worth, share, other.name)
-        if known:
-            mine = replace(known[0], probability=known[0].probability + share)
-        rest = sorted(
-            (mine, *(r for r in rest if r.name != other.name)), key=lambda r: -r.probability
-        )
-        return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(rest))
+        new = Rival(Candidate(other.name, other.terms), worth, 0.0, other.name)
+        rivals = {other.name: new} | {
+            r.name: replace(r, probability=(1.0 - share) * r.probability) for r in self.rivals
+        }
+        mine = rivals[other.name]
+        rivals[other.name] = replace(mine, probability=mine.probability + share)
+        ordered = sorted(rivals.values(), key=lambda r: -r.probability)
+        return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(ordered))
 
     def put_first(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
         """Return the effect under the name of `first`, with the others as its rivals."""

@@ -69,27 +69,19 @@ class OfferTable:
         )
         row, at = np.nonzero(np.isfinite(self._lower) | np.isfinite(self._upper))
         self._bounded, self._starts = np.unique(row, return_index=True)
-        self._turn_bounded = self._turn[row, at]  # (B, P)
-        self._row = row
+        self._row, self._turn_bounded = row, self._turn[row, at]  # (B, P)
         self._sd = np.sqrt(_multiply_rows(self._turn_bounded**2, self._share[row]))
         self._ends = self._lower[row, at][:, None], self._upper[row, at][:, None]
 
     @classmethod
     def of(cls, products: Products, numbered: Mapping[int, Offer]) -> list[OfferTable]:
-        """Make a table of the offers with one coefficient, and one of those with several.
-
-        Most offers have one. A table without offers is left out.
-        """
-        wide = {n: len(offer.column_numbers) > 1 for n, offer in numbered.items()}
-        parts = ({n: numbered[n] for n in wide if wide[n] == more} for more in (False, True))
-        return [cls(products, part) for part in parts if part]
+        """Make a table of the offers with one coefficient, and one of those with several."""
+        narrow = {n: o for n, o in numbered.items() if len(o.column_numbers) <= 1}
+        wide = {n: o for n, o in numbered.items() if n not in narrow}
+        return [cls(products, part) for part in (narrow, wide) if part]
 
     def _rotate_group(self, group: np.ndarray, count: int, sizes: np.ndarray) -> None:
-        """Prepare the offers whose rows are listed in `group`, with `count` coefficients each.
-
-        Args:
-            sizes: (R, A) sizes of all offers of the table.
-        """
+        """Prepare the offers whose rows are listed in `group`, with `count` coefficients each."""
         of = self._of
         places = self._column_numbers[group, :count]
         s = of.gram[places[:, :, None], places[:, None, :]]

@@ -32,7 +32,6 @@ from longarm_comp.core.model.model import slots_of
 LOOKED_AT = 1e-4
 """Probability above which another name is fitted in the place of an effect. Columns are linearised,
 so a fit may raise the log evidence by ten."""
-
 IMPOSSIBLE = 1e-20
 """Probability below which a name or a tolerance is dropped. A fit, or another explanation with that
 tolerance, may raise the log evidence by forty (the touches of an iiwa 14 need more than thirty)."""
@@ -84,15 +83,10 @@ class OfferedEffects:
         best = find_explanation(self.bank, self.known, begun)
         offers = self._drop_idle_places(best.offers)
         evidence, values = self.bank.solve_together(offers)
-        every = [
-            FoundEffect(
-                self._terms_of(e.best, o, v),
-                e.presence,
-                self._bayes_factor(offers, k),
-                log_prior=o.log_prior,
-            )
-            for k, (e, o, v) in enumerate(zip(best.effects, offers, values, strict=True))
-        ]
+        every = []
+        for k, (effect, offer, value) in enumerate(zip(best.effects, offers, values, strict=True)):
+            terms, factor = self._terms_of(effect.best, offer, value), self._bayes_factor(offers, k)
+            every.append(FoundEffect(terms, effect.presence, factor, log_prior=offer.log_prior))
         found = tuple(f for f in every if f.presence >= CREDIBLE)
         doubtful = tuple(f for f in every if f.presence < CREDIBLE)
         return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
@@ -104,16 +98,13 @@ class OfferedEffects:
         again without each of them.
         """
         made = []
-        for effect in find_explanation(
-            self.bank, self.known, as_certain(self.bank, self.known)
-        ).effects:
+        best = find_explanation(self.bank, self.known, as_certain(self.bank, self.known))
+        for effect in best.effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
                 terms = self.candidates[n].terms
-                alike = [Candidate(terms[0].name, terms)]
-                alike += [
-                    self._candidate_of_name(name, terms) for name in self._list_aliases(terms)
-                ]
+                alike = [self._candidate_of_name(name, terms) for name in self._list_aliases(terms)]
+                alike.insert(0, Candidate(terms[0].name, terms))
                 for one in alike:
                     before, first = shares.get(one.name, (0.0, one))
                     share = float(effect.q[n]) / effect.presence / len(alike)
@@ -189,11 +180,7 @@ class OfferedEffects:
         """Return an effect with its rivals: all other names that may be true, at their best places.
 
         If no measurement distinguishes some names, the likeliest is judged and they share its
-        probability.
-
-        Args:
-            offers: the offers of all known effects.
-            k: position of the effect's own offer among them.
+        probability.  The effect's own offer is number `k` of those of all known effects.
         """
         here, own = self.bank.evidence(offers), self._bayes_factor(offers, k)
         likeliest: dict[str, tuple[float, int, Offer, list[Offer]]] = {}
@@ -236,9 +223,9 @@ class OfferedEffects:
             where.setdefault(tuple(t.where for t in same.terms), math.exp(min(value, 0.0)))
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
         otherwise.pop(list_variants(found.terms), None)
-        told = dataclasses.replace(found, otherwise=tuple(otherwise.values()))
-        led = told.put_first(dataclasses.replace(leader, loose=found.loose), others)
-        return dataclasses.replace(led, where=smallest_set(where))
+        found = dataclasses.replace(found, otherwise=tuple(otherwise.values()))
+        found = found.put_first(dataclasses.replace(leader, loose=found.loose), others)
+        return dataclasses.replace(found, where=smallest_set(where))
 
     def _list_substitutes(
         self, offers: list[Offer], k: int, least: float
@@ -303,12 +290,9 @@ class OfferedEffects:
     def _terms_of(
         self, number: int, offer: Offer, values: np.ndarray | None = None
     ) -> tuple[Term, ...]:
-        """Return the terms of an offer.
+        """Return the terms of the offer of a number, or of what is left of it in `offer`.
 
-        Args:
-            number: number of the offer.
-            offer: this offer, or what is left of it.
-            values: coefficients of its columns; None: the terms keep their values.
+        `values` are the coefficients of its columns; None: the terms keep their values.
         """
         held = {t.key: t for t in self.candidates[number].terms}
         if values is None:
@@ -329,26 +313,14 @@ class OfferedEffects:
         If a joint stood at few positions, they include all free functions of it: each of them can
         take any values there.
         """
-        name = terms[0].name
-        levels = max(map(self._count_stands, terms))
-        free = {
-            n
-            for n, k in self._first_number.items()
-            if self.candidates[k].terms[0].free_levels >= levels
-        }
-        few = free if levels else set()
-        return tuple(sorted((self._aliases.get(name, set()) | few) - {name}))
-
-    def _count_stands(self, term: Term) -> int:
-        """Return the number of positions at which a term's joints stood, the most of any joint.
-
-        It is 0 unless the term is a free function of a joint.
-        """
-        if not term.free_levels:
-            return 0
-        commanded = self.fitted.model.arm.commanded
-        stood = [self.fitted.session.q[:, commanded.index(j)] for j in term.joints]
-        return max((count_levels(q) for q in stood), default=0)
+        name, commanded = terms[0].name, self.fitted.model.arm.commanded
+        free_joints = {commanded.index(j) for t in terms if t.free_levels for j in t.joints}
+        alike = set(self._aliases.get(name, ()))
+        if free_joints:
+            levels = max(count_levels(self.fitted.session.q[:, j]) for j in free_joints)
+            first = ((n, self.candidates[k].terms[0]) for n, k in self._first_number.items())
+            alike |= {n for n, term in first if term.free_levels >= levels}
+        return tuple(sorted(alike - {name}))
 
     def _candidate_of_name(self, name: str, at: Sequence[Term]) -> Candidate:
         """Return the effect `name` at the places of some terms, in their forms.
@@ -369,9 +341,9 @@ class OfferedEffects:
     def _first_term(self) -> dict[str, dict[str, Term]]:
         """The first term on offer, by name and place."""
         made: dict[str, dict[str, Term]] = {}
-        for offer in self.candidates:
-            for term in offer.terms:
-                made.setdefault(offer.name, {}).setdefault(term.where, term)
+        for candidate in self.candidates:
+            for term in candidate.terms:
+                made.setdefault(candidate.name, {}).setdefault(term.where, term)
         return made
 
     @cached_property
@@ -388,12 +360,10 @@ class OfferedEffects:
         made: dict[str, set[str]] = {}
         arm = self.fitted.model.arm
         read = [arm.commanded[k] for k in self.fitted.session.read_joints]
-        for name, number in self._first_number.items():
-            term = self.candidates[number].terms[0]
-            for other in set(term.aliases) & set(self._first_number):
-                if not tell_apart(
-                    arm, read, term, self.candidates[self._first_number[other]].terms[0]
-                ):
+        first = {name: self.candidates[n].terms[0] for name, n in self._first_number.items()}
+        for name, term in first.items():
+            for other in set(term.aliases) & set(first):
+                if not tell_apart(arm, read, term, first[other]):
                     made.setdefault(name, set()).add(other)
                     made.setdefault(other, set()).add(name)
         return made

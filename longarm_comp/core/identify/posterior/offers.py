@@ -37,7 +37,7 @@ from longarm_comp.core.model.model import slots_of
 
 AMPLITUDES = (3.0, 30.0, 300.0)
 """Possible prior standard deviations of the shift by a function without a name, in units of the
-noise."""
+noise. Each is ten times that before: nobody knows beforehand how large it is."""
 
 
 def make_offers(
@@ -80,15 +80,20 @@ def make_offers(
     moving, plain = _make_offers_that_move(fitted.model.arm, np.diag(own), raw, listed)
     every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
     free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
-    moving, plain = [moving[n] for n in free], [plain[n] for n in free]
-    things = [listed[n][0] for n in moving]
+    things, plain = [listed[moving[n]][0] for n in free], [plain[n] for n in free]
     at = {list_variants(c.terms): n for n, c in enumerate(things)}
     known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
     names = len({c.name for c in library})
     banks = []
     for tolerance, size in zip(tolerances, sizes, strict=True):
         evidence, s, t = marginalise_first(gram, along, size)
-        offers = [_scale_to_stiffness(o, c, tolerance) for o, c in zip(plain, things, strict=True)]
+        share = min(tolerance.compliance, 1.0) or 1.0  # the stiffer the arm, the smaller
+        offers = [
+            dataclasses.replace(offer, sizes=tuple(share * s for s in offer.sizes))
+            if thing.terms[0].elastic and not offer.fixed
+            else offer
+            for offer, thing in zip(plain, things, strict=True)
+        ]
         bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n, names)
         base = marginal.evidence + evidence + tolerance.log_prior
         banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, tolerance))
@@ -127,27 +132,12 @@ def _list_with_prices(
     return listed
 
 
-def _find_site(candidate: Candidate) -> str:
-    """Return where a function without a name acts; "" for a named effect or several places."""
-    sites = {"" if t.searched else t.where.partition(",")[0] for t in candidate.terms}
-    return sites.pop() if len(sites) == 1 else ""
-
-
-def _scale_to_stiffness(offer: Offer, candidate: Candidate, tolerance: ModelTolerance) -> Offer:
-    """Return the offer with the sizes of an elastic effect scaled to the stiffness of the arm."""
-    if offer.fixed or tolerance.elastic_share == 1.0 or not candidate.terms[0].elastic:
-        return offer
-    return dataclasses.replace(offer, sizes=tuple(tolerance.elastic_share * s for s in offer.sizes))
-
-
 def _make_offers_that_move(
     arm: Arm, squares: np.ndarray, raw: _StackedColumns, listed: Sequence[_Listed]
 ) -> tuple[list[int], list[Offer]]:
     """Return the candidates that move a row, by their positions in `listed`, and their offers.
 
-    Args:
-        squares: (k,) squared lengths of all columns, with the geometry projected out.
-        raw: the columns.
+    `squares` (k,) are the squared lengths of all columns, with the geometry projected out.
     """
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
@@ -159,9 +149,9 @@ def _make_offers_that_move(
         keys = tuple(t.key for t in candidate.terms)
         if fixed:
             sizes, chances = (1.0,), (0.0,)
-        offers.append(
-            Offer(candidate.name, keys, own, prior, sizes, chances, fixed, _find_site(candidate))
-        )
+        sites = {"" if t.searched else t.where.partition(",")[0] for t in candidate.terms}
+        site = sites.pop() if len(sites) == 1 else ""
+        offers.append(Offer(candidate.name, keys, own, prior, sizes, chances, fixed, site))
         kept.append(n)
     return kept, offers
 
@@ -169,12 +159,8 @@ def _make_offers_that_move(
 def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candidate]) -> np.ndarray:
     """Return the (C,) log Bayes factor of each candidate alone against none.
 
-    Its price (`Effect.price`) is subtracted. A candidate that moves no row has 0.
-
-    Args:
-        fitted: the fit, with its rows, noise and weights.
-        marginal: the columns that are in the model already.
-        each: the candidates.
+    Its price (`Effect.price`) is subtracted. A candidate that moves no row has 0. `marginal` holds
+    the columns that are in the model already.
     """
     listed = [
         (c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,)) for c in each
@@ -215,18 +201,16 @@ def _besides_findings(
     row so near to a threshold that the tolerance decides its side gets a column of its own, so its
     side has no influence.
 
-    Returns:
-        (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
+    Returns (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
     session = fitted.session
     ways = np.concatenate([_principal_functions(q) for q in session.q.T], axis=1)
     ways = ways / math.sqrt(max(ways.shape[1], 1))
     arm = fitted.model.arm
     forms = np.array([tolerance.form for tolerance in tolerances])
-    every = np.ones((len(tolerances), 1))
     usual = [t for t in distinct_terms(library) if any(p.usual for p in t.parameters(arm))]
     shares = [s.parameter.usual / s.parameter.width for s in slots_of(arm, usual)]
-    made, sizes = [FitColumns(fitted).white_columns(usual)], [every * shares]
+    made, sizes = [FitColumns(fitted).white_columns(usual)], [np.tile(shares, (len(forms), 1))]
     if any(tolerance.compliance for tolerance in tolerances):
         little, size = background_columns(FitColumns(near or fitted), library, tolerances)
         made.append(little)
@@ -234,9 +218,8 @@ def _besides_findings(
     held = {t.key: t for t in fitted.model.terms}
     moving = [held[t.key] for f in found for t in f.terms if t.key in held and t.scales()]
     ends = [e for t in moving for form in np.unique(forms) for e in _scale_ends(t, float(form))]
-    FitColumns(fitted).prior_columns(
-        [end for pair in ends for end in pair]
-    )  # all at once: much faster
+    # All at once: much faster
+    FitColumns(fitted).prior_columns([end for pair in ends for end in pair])
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
         if terms:
@@ -262,12 +245,10 @@ def _principal_functions(values: np.ndarray) -> np.ndarray:
 
 
 def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
-    """Return (N, d, k) columns of single rows whose shift a form's tolerance changes too much.
+    """Return (N, d, k) columns of single rows near a threshold.
 
-    These are rows near a threshold: their change is more than this share of the largest shift.
-
-    Args:
-        tolerance: the relative error of the form's scales.
+    A relative error `tolerance` of the form's scales changes their shift by more than this share of
+    the largest shift.
     """
     columns = FitColumns(fitted)
     largest = np.abs(columns.shift_by([term])).max()
@@ -282,11 +263,7 @@ def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np
 
 
 def _scale_ends(term: Term, tolerance: float) -> list[tuple[Term, Term]]:
-    """Return for each scale of a term two terms: with it larger and smaller by a tolerance.
-
-    Args:
-        tolerance: relative change; scales stay within their limits.
-    """
+    """Return for each scale of a term two terms: with it larger and smaller, within its limits."""
     made = []
     for field, (low, high) in term.scales().items():
         value = getattr(term, field)
@@ -316,10 +293,9 @@ class _StackedColumns(NamedTuple):
 
 
 def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColumns:
-    """Stack the columns of the listed candidates' terms, each variant once.
+    """Stack the columns of the listed terms, each variant once, those of parameters first.
 
-    First come the columns of parameters. Then comes, for each term without parameters, one column
-    with its shift.
+    A term without parameters has one column, its shift.
     """
     terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
     slots = slots_of(fitted.model.arm, terms)

@@ -24,16 +24,11 @@ from longarm_comp.core.identify.discover.bank import (
     FunctionCandidate,
     make_banks,
     make_term,
-    marginalise_columns,
 )
-from longarm_comp.core.identify.discover.functions import DENSE, vary_shape
+from longarm_comp.core.identify.discover.functions import DENSE, REFINED, vary_shape
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
-
-REFINED = 4
-"""Number of candidates of a bank that are refined: tried with other thresholds and frequencies. The
-log prior of a refined candidate includes the choice among these."""
 
 
 def propose_functions(
@@ -53,14 +48,27 @@ def propose_functions(
         found: the effects found so far.
         library, tolerance: give the columns that may move the rows besides (`tolerance_columns`).
     """
+    fit = dataclasses.replace(fit, rho=0.0)  # functions are tried as if rows erred independently
     gone: list[Sequence[FoundEffect]] = [(), *([f] for f in found if not f.terms[0].elastic)]
-    marginals = [_marginalise_without(fit, found, some, library, tolerance) for some in gone]
+    marginals = []
+    for some in gone:
+        rest = [f for f in found if f not in some]
+        besides = tolerance_columns(fit, library, rest, tolerance)
+        columns = [fit.design[:, _mask_other_columns(fit, some)], besides]
+        marginals.append(Marginal(np.concatenate(columns, axis=1), fit.data))
+    history = {
+        joint
+        for f in found
+        for t in f.terms
+        if isinstance(t, Effect) and not WIDTH.keys().isdisjoint(t.inputs)
+        for joint in t.history_joints(fit.model.arm)
+    }
     ranked: list[list[_Ranked]] = [[] for _ in gone]
-    for bank in make_banks(fit, _remembering_joints(fit, found)):
+    for bank in make_banks(fit, history):
         looked = bank.shortlist_candidates(
-            _mask_other_columns(fit, found), [left for _, left in marginals]
+            _mask_other_columns(fit, found), [marginal.projected_data for marginal in marginals]
         )
-        for (marginal, _), kinds, mine in zip(marginals, looked, ranked, strict=True):
+        for marginal, kinds, mine in zip(marginals, looked, ranked, strict=True):
             mine += _rank_bank(bank, marginal, kinds)
     few = SHORTLIST // 2 if found else SHORTLIST
     offered: dict[FunctionCandidate, FunctionBank] = {}
@@ -69,39 +77,16 @@ def propose_functions(
         offered |= {one.candidate: one.bank for one in better[:few]}
         offered |= {one.candidate: one.bank for one in better if one.first}
         few = SHORTLIST // (2 * max(len(gone) - 1, 1))  # functions instead of each effect
-    return tuple(_make_proposed(bank, h) for h, bank in offered.items())
-
-
-def _remembering_joints(fit: ModelFit, found: Sequence[FoundEffect]) -> set[int]:
-    """Return the commanded joints, 0-based, whose history a found effect reads."""
-    return {
-        joint
-        for f in found
-        for t in f.terms
-        if isinstance(t, Effect) and not WIDTH.keys().isdisjoint(t.inputs)
-        for joint in t.history_joints(fit.model.arm)
-    }
-
-
-def _marginalise_without(
-    fit: ModelFit,
-    found: Sequence[FoundEffect],
-    gone: Sequence[FoundEffect],
-    library: Sequence[Candidate],
-    tolerance: ModelTolerance,
-) -> tuple[Marginal, np.ndarray]:
-    """Marginalise the columns of a fit without those of some effects, and those of the tolerance.
-
-    Args:
-        gone: the effects whose columns are left out.
-        library, tolerance: as in `propose_functions`.
-
-    Returns:
-        As `marginalise_columns`.
-    """
-    rest = [f for f in found if f not in gone]
-    besides = tolerance_columns(dataclasses.replace(fit, rho=0.0), library, rest, tolerance)
-    return marginalise_columns(fit, _mask_other_columns(fit, gone), besides)
+    made = []
+    for candidate, bank in offered.items():
+        # One prior standard deviation of each moves the rows by one noise, rms, times its decay
+        scales = np.array(candidate.decay) / bank.unit_shifts(candidate)
+        terms = tuple(
+            make_term(place, f.text, f.domain, float(scale))
+            for (place, f), scale in zip(candidate.members, scales, strict=True)
+        )
+        made.append(ProposedFunction(terms, candidate.log_prior))
+    return tuple(made)
 
 
 class _Ranked(NamedTuple):
@@ -116,18 +101,11 @@ class _Ranked(NamedTuple):
 def _rank_bank(
     bank: FunctionBank, marginal: Marginal, kinds: Sequence[Sequence[FunctionCandidate]]
 ) -> list[_Ranked]:
-    """Return the best candidates of a bank, also in refined form.
-
-    Args:
-        marginal: the columns that are in the model already.
-        kinds: the shortlisted candidates of each kind.
-    """
+    """Return the best of the candidates of each kind, and the very best also in refined form."""
     made, each = [], SHORTLIST // len(kinds)  # so that similar functions leave room for others
     for some in kinds:
-        weighed = _rank_by_odds(bank, marginal, [h for h in some if not _is_constant_shift(h)])[
-            :each
-        ]
-        made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed)]
+        weighed = _rank_by_odds(bank, marginal, [h for h in some if not _is_constant_shift(h)])
+        made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed[:each])]
     made.sort(key=lambda one: -one.worth)
     best = [(one.worth, one.candidate) for one in made[:REFINED]]
     refined = (_Ranked(worth, h, bank) for worth, h in _refine_shapes(bank, marginal, best))
@@ -156,28 +134,10 @@ def _is_constant_shift(candidate: FunctionCandidate) -> bool:
     return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
-def _make_proposed(bank: FunctionBank, candidate: FunctionCandidate) -> ProposedFunction:
-    """Return the terms of a candidate, with its log prior.
-
-    One prior standard deviation of each moves the rows by one noise, rms, times its decay.
-    """
-    scales = np.array(candidate.decay) / bank.unit_shifts(candidate)
-    terms = tuple(
-        make_term(place, f.text, f.domain, float(scale))
-        for (place, f), scale in zip(candidate.members, scales, strict=True)
-    )
-    return ProposedFunction(terms, candidate.log_prior)
-
-
 def _refine_shapes(
     bank: FunctionBank, marginal: Marginal, first: Sequence[tuple[float, FunctionCandidate]]
 ) -> Iterator[tuple[float, FunctionCandidate]]:
-    """Yield each candidate with its best thresholds or frequencies, by a coarse and a fine search.
-
-    Args:
-        marginal: the columns that are in the model already.
-        first: log odds and candidate, of each to refine.
-    """
+    """Yield each candidate with its best thresholds or frequencies: a coarse and a fine search."""
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
         for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
@@ -194,11 +154,7 @@ def _refine_shapes(
 def _vary_candidate(
     bank: FunctionBank, candidate: FunctionCandidate, width: float
 ) -> Iterator[FunctionCandidate]:
-    """Yield the candidate with other thresholds or frequencies near its own.
-
-    Args:
-        width: as in `vary_shape`.
-    """
+    """Yield the candidate with other thresholds or frequencies near its own (`vary_shape`)."""
     factors = dict.fromkeys(f for _, function in candidate.members for f in function.factors)
     bent = [f for f in factors if isinstance(f, (Threshold, Wave))]
     if len(bent) == 1 or all(isinstance(f, Wave) for f in bent):

@@ -82,15 +82,12 @@ class Resampling:
         The columns are linearised. If fits of all rows made a name likelier than its columns did,
         the same factor is applied in each sample.  The search on a half of the rows gives one name
         only. If this name is in the effect's credible set, the names of all rows are taken instead.
-
-        Args:
-            whole: the effects that explain all rows by columns.
-            samples: the effects of each sample, then of each half.
+        The halves come last in `samples`; `whole` explains all rows by columns.
         """
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         linear = self._in_its_place(found, whole)
-        told = {} if linear is None else linear.names
-        fitted = {name: p / told[name] for name, p in found.names.items() if told.get(name)}
+        by_columns = {} if linear is None else linear.names
+        fitted = {n: p / by_columns[n] for n, p in found.names.items() if by_columns.get(n)}
         named = {r.name: r.candidate for r in found.rivals}
         for n, effects in enumerate(samples):
             other = self._in_its_place(found, effects)
@@ -130,11 +127,19 @@ class Resampling:
         Effects that may have its name come first, and are taken together: one sample may find them
         joint by joint, and another one at all joints.
         """
-        mine = self._shift_rows(found.terms)
-        shares = {e: _correlate_shifts(mine, self._shift_rows(e.terms)) ** 2 for e in effects}
+        mine, shares = self._shift_rows(found.terms), {}
+        for e in effects:
+            theirs = self._shift_rows(e.terms)
+            sizes = np.linalg.norm(mine) * np.linalg.norm(theirs)
+            shares[e] = float(mine @ theirs / max(sizes, 1e-300)) ** 2
         namesakes = [e for e in effects if found.name in e.credible]
         each = [self._shift_rows((t,)) for e in namesakes for t in e.terms]
-        if each and _explained_share(mine, np.stack(each, axis=1)) >= SAME_ROLE:
+        explained = 0.0
+        if each:
+            columns = np.stack(each, axis=1)
+            left = mine - columns @ np.linalg.lstsq(columns, mine, rcond=None)[0]
+            explained = 1.0 - float(left @ left / max(mine @ mine, 1e-300))
+        if explained >= SAME_ROLE:
             missing = math.prod(1.0 - e.presence for e in namesakes)
             return replace(max(namesakes, key=shares.__getitem__), presence=1.0 - missing)
         alike = [e for e, share in shares.items() if share >= SAME_ROLE]
@@ -145,19 +150,6 @@ class Resampling:
         return FitColumns(self.fit).marginal_without(keys_of(self.found))
 
     def _shift_rows(self, terms: Sequence[Term]) -> np.ndarray:
-        """Return the (m,) shift of the rows by some terms, in units of the noise.
-
-        The part that the geometry can explain is projected out.
-        """
+        """Return the (m,) whitened shift of the rows by terms, less what geometry can explain."""
         shift = FitColumns(self.fit).shift_by(terms)
         return self._geometry.project(self.fit.whiten_columns(shift[..., None]))[:, 0]
-
-
-def _explained_share(y: np.ndarray, columns: np.ndarray) -> float:
-    """Return the share of the sum of squares of y (m,) that columns (m, k) explain."""
-    left = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
-    return 1.0 - float(left @ left / max(y @ y, 1e-300))
-
-
-def _correlate_shifts(a: np.ndarray, b: np.ndarray) -> float:
-    return float(a @ b / max(np.linalg.norm(a) * np.linalg.norm(b), 1e-300))

@@ -12,25 +12,31 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
-from longarm_comp.core.calibration.candidates import Candidate
-from longarm_comp.core.calibration.fit import fit_model
+from longarm_comp.core.calibration.candidates import Candidate, distinct_terms
+from longarm_comp.core.calibration.fit import fit_model, linearise_model
+from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import BETTER
 from longarm_comp.core.calibration.model_fit import ModelFit
-from longarm_comp.core.calibration.noise import NoiseEstimate
+from longarm_comp.core.calibration.noise import (
+    NoiseEstimate,
+    limit_by_repeats,
+    noise_from_residual,
+)
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.identify.model_tolerance import FORMS, TOLERANCES, ModelTolerance
-from longarm_comp.core.identify.posterior.explained import (
-    NEAR,
-    ExplainedSession,
-    judge_noise_and_fit,
-    put_found,
-    widen_prior,
-)
+from longarm_comp.core.identify.posterior.explained import NEAR, ExplainedSession, widen_prior
 from longarm_comp.core.identify.posterior.forms import find_better_forms, measure_agreement
-from longarm_comp.core.identify.posterior.found import NONE, FoundEffect, ProposedFunction
+from longarm_comp.core.identify.posterior.found import (
+    NONE,
+    FoundEffect,
+    ProposedFunction,
+    keys_of,
+)
+from longarm_comp.core.identify.posterior.offer import ROUNDS
 from longarm_comp.core.identify.posterior.offered_effects import (
     IMPOSSIBLE,
     OfferedEffects,
@@ -40,9 +46,6 @@ from longarm_comp.core.identify.posterior.offers import make_offers
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.identify.step_scan import scan_steps
 from longarm_comp.core.model.model import Model
-
-ROUNDS = 8
-"""Largest number of rounds of each loop of the search; three are usual."""
 
 
 @dataclass
@@ -84,7 +87,10 @@ class ExplanationSearch:
             The best explained session: `state` itself if none is better.
         """
         for _ in range(ROUNDS):
-            self._scan_steps(state)
+            # The servo steps on offer are those that the residual shows now
+            need = NONE + math.log(max(len(self.candidates), 1))
+            steps = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
+            self.candidates = [*(c for c in self.candidates if not c.scanned), *steps]
             if functions:
                 tolerance = self.weigh_tolerances(state.fit, state.found)[1]
                 self.functions = propose_functions(
@@ -104,6 +110,15 @@ class ExplanationSearch:
             state = taken
         return state
 
+    def fit_geometry(self) -> ExplainedSession:
+        """Fit the base model alone.
+
+        Raises:
+            InputError, JobError: as `fit_model`.
+        """
+        first = fit_model(self.base, self.session)
+        return self._fit_with_noise(first, first, ())
+
     def fit_with(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...]
     ) -> ExplainedSession | None:
@@ -116,13 +131,36 @@ class ExplanationSearch:
         Returns:
             The explained session; None if the fit diverges.
         """
-        model = put_found(self.base, state.fit.model, found)
+        model = self._put_found(state.fit.model, found)
         try:
-            return judge_noise_and_fit(
-                model, self.session, self.candidates, found, state, known=self.known
-            )
+            if not found:
+                first = fit_model(model, self.session)
+                return self._fit_with_noise(first, first, found)
+            first = linearise_model(model, self.session, state.fit)
+            return self._fit_with_noise(first, state.fit, found)
         except JobError:
             return None
+
+    def _fit_with_noise(
+        self, begun: ModelFit, at: ModelFit, found: tuple[FoundEffect, ...]
+    ) -> ExplainedSession:
+        """Fit again, with the noise that is left if the library explains as much as it can.
+
+        The columns of the library are those at the fit `at`.
+        """
+        library = distinct_terms(self.candidates, keys_of(found))
+        noise, weights = noise_from_residual(begun, FitColumns(at).prior_columns(library))
+        if self.known is not None:
+            noise = limit_by_repeats(self.known, noise)
+        judged: dict[str, Any] = {"sigma": noise.sigma, "rho": noise.rho, "weights": weights}
+        fitted = fit_model(begun.model, self.session, close=NEAR, begun=begun, **judged)
+        return ExplainedSession(fitted, found, noise)
+
+    def _put_found(self, now: Model, found: Sequence[FoundEffect]) -> Model:
+        """Return the base model with found effects added; values are those in the model `now`."""
+        known, alike = {t.key: t for t in now.terms}, {t.variant: t for t in now.terms}
+        terms = (alike.get(t.variant, t) for f in found for t in f.terms)
+        return self.base.with_terms([*(known.get(t.key, t) for t in self.base.terms), *terms])
 
     def compare_odds(self, one: ExplainedSession, other: ExplainedSession) -> float:
         """Return the log odds of `other` against `one`.
@@ -131,11 +169,11 @@ class ExplanationSearch:
         """
         made = []
         for judged in (one.fit.noise_arguments, other.fit.noise_arguments):
-            fits = (
-                fit_model(e.fit.model, self.session, close=NEAR, **judged) for e in (one, other)
-            )
             mine, theirs = (
-                self.evidence_of_all(f, e.found) for f, e in zip(fits, (one, other), strict=True)
+                self.evidence_of_all(
+                    fit_model(e.fit.model, self.session, close=NEAR, **judged), e.found
+                )
+                for e in (one, other)
             )
             made.append(theirs - mine)
         return sum(made) / len(made)
@@ -143,15 +181,9 @@ class ExplanationSearch:
     def weigh_tolerances(
         self, fitted: ModelFit, found: Sequence[FoundEffect]
     ) -> tuple[float, ModelTolerance]:
-        """Find the model tolerance at which an explanation has the highest evidence.
+        """Return the highest log evidence of an explanation, and the tolerance that gives it.
 
         Effects and places that do not raise the evidence, priors included, are dropped first.
-
-        Args:
-            fitted: the fit that holds the effects.
-
-        Returns:
-            The highest log evidence, and its tolerance.
         """
         every = self.offer_by_tolerance(fitted, found, others=False)
         return max((bank.evidence_pruned, bank.tolerance) for bank in every)
@@ -163,24 +195,9 @@ class ExplanationSearch:
 
         None is dropped, because the columns, which are linearised, tell little about the arm
         without a large effect.
-
-        Args:
-            fitted: the fit that holds the effects.
-            near: as in `make_offers`.
         """
         every = self.offer_by_tolerance(fitted, found, others=False, **near)
         return max(bank.evidence_of_known for bank in every)
-
-    def other_compliance(self, state: ExplainedSession) -> float:
-        """Return the best background compliance (`ModelTolerance.compliance`) of a final state.
-
-        If an elastic effect was found, other parts may be equally soft without a penalty of the
-        prior.
-        """
-        soft = any(t.elastic for f in state.found for t in f.terms)
-        every = self.offer_by_tolerance(state.fit, state.found, others=False)
-        best = max(every, key=lambda b: b.evidence_pruned - b.tolerance.log_prior * soft)
-        return best.tolerance.compliance
 
     def evidence_refitted(
         self, state: ExplainedSession, found: tuple[FoundEffect, ...], best_places: bool = False
@@ -198,7 +215,7 @@ class ExplanationSearch:
         if len(set(places)) < len(places):
             return -math.inf
         try:
-            model = put_found(self.base, state.fit.model, found)
+            model = self._put_found(state.fit.model, found)
             begun = fit_model(
                 model, self.session, close=NEAR, near=state.fit, **state.fit.noise_arguments
             )
@@ -218,9 +235,7 @@ class ExplanationSearch:
         """Make the offers at a fit, one bank for each model tolerance that applies.
 
         Tolerances with another error of forms than the first are tried only if something was found.
-
-        Args:
-            fitted, found, others, near: as in `make_offers`.
+        The arguments are those of `make_offers`.
         """
         tried = [
             tolerance
@@ -261,12 +276,6 @@ class ExplanationSearch:
         again = fit_model(was.model, self.session, close=NEAR, begun=was, **now.fit.noise_arguments)
         least = self.evidence_of_all(again, before.found, near=now.fit) + BETTER
         return self.evidence_of_all(now.fit, now.found) > least
-
-    def _scan_steps(self, state: ExplainedSession) -> None:
-        """Replace the scanned servo steps in `candidates` by those that the residual shows now."""
-        need = NONE + math.log(max(len(self.candidates), 1))
-        shown = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
-        self.candidates = [*(c for c in self.candidates if not c.scanned), *shown]
 
     def _move_forms(self, state: ExplainedSession) -> ExplainedSession:
         """Move the scales of forms to where the evidence is highest, while more rows agree.

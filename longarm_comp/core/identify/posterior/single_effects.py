@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_prior_mass, prior_root
-from longarm_comp.core.identify.model_tolerance import FORMS
+from longarm_comp.core.identify.model_tolerance import FORM_KNOWN_WITHIN
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
 from longarm_comp.core.identify.posterior.offer_table import OfferTable, Products
@@ -72,13 +72,11 @@ class OfferBank:
         self.like = np.arange(len(along)) if like is None else like
         self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
         each = np.array([offer.name for offer in offers])
-        self._of_name = {name: each == name for name in dict.fromkeys(each.tolist())}
+        self._of_name = {name: each == name for name in set(each.tolist())}
         self.again = math.log(max(0.5 * (names or len(self._of_name)), 1.0))
         self.together = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
-        self._at_site = {
-            site: np.array([offer.site == site for offer in offers])
-            for site in {offer.site for offer in offers if offer.site}
-        }
+        sites_of = np.array([offer.site for offer in offers])
+        self._at_site = {site: sites_of == site for site in set(sites_of.tolist())}
         # By the places that other effects take: what is left of the offers. Many sets of places
         # leave the same, so most of them share their tables.
         self._beside: dict[frozenset[Hashable], _Beside] = {}
@@ -97,27 +95,25 @@ class OfferBank:
         """Tell whether an offer is a function without a name that moves the rows as a named effect.
 
         Then it is only another description of that effect. Two columns count as the same within
-        ``FORMS[1]``, because the form of no real joint is known better.
+        `FORM_KNOWN_WITHIN`.
         """
         if not offer.site or len(offer.column_numbers) > 1:
             return False
         (k,) = offer.column_numbers
         squares = np.diag(self.gram)
-        product = squares[k] * squares[self._named_columns] * (1.0 - FORMS[1] ** 2)
+        product = squares[k] * squares[self._named_columns] * (1.0 - FORM_KNOWN_WITHIN**2)
         return bool((self.gram[k, self._named_columns] ** 2 > np.maximum(product, 0.0)).any())
 
     @cached_property
     def _named_columns(self) -> np.ndarray:
         """The numbers of the columns of named effects that have a single column."""
-        alone = (o.column_numbers for o in self.offers if not o.site and len(o.column_numbers) == 1)
-        return np.array([k for (k,) in alone], dtype=int)
+        named = (offer.column_numbers for offer in self.offers if not offer.site)
+        return np.array([own[0] for own in named if len(own) == 1], dtype=int)
 
     def compute_single_effect(self, along: np.ndarray, others: OtherEffects) -> SingleEffect:
         """Compute the distribution of one effect from the residual of the others.
 
-        Args:
-            along: (K,) products of the columns with this residual.
-            others: the limits that the other effects set.
+        The products of the columns with this residual are `along` (K,).
         """
         beside = self._beside_places(others.held)
         scores, found = np.full(len(self.offers), -np.inf), []
@@ -202,19 +198,12 @@ class OfferBank:
     def solve_together(self, chosen: Sequence[Offer]) -> tuple[float, list[np.ndarray]]:
         """Return `evidence`, and the coefficients of each offer at the posterior mode."""
         total, (mean,) = self._solve_sets([chosen])
-        free = [0 if offer.fixed else len(offer.column_numbers) for offer in chosen]
-        parts = np.split(mean, np.cumsum(free, dtype=int))
-        fixed = (np.ones(len(offer.column_numbers)) for offer in chosen)
-        return float(total[0]), [
-            part if count else ones for part, count, ones in zip(parts, free, fixed, strict=False)
-        ]
-
-    def _odds_of_likes(self, chosen: Sequence[Offer]) -> float:
-        """Return the prior log odds that offers gain from others of their name or cause."""
-        sites = [offer.site for offer in chosen if offer.site]
-        together = len(sites) - len(set(sites))
-        again = len(chosen) - len({offer.name for offer in chosen}) - together
-        return self.again * again + self.together * together
+        made, start = [], 0
+        for offer in chosen:
+            count = len(offer.column_numbers)
+            made.append(np.ones(count) if offer.fixed else mean[start : start + count])
+            start += 0 if offer.fixed else count
+        return float(total[0]), made
 
     def _solve_sets(self, sets: Sequence[Sequence[Offer]]) -> tuple[np.ndarray, list[np.ndarray]]:
         """Return the log evidence of each set of offers, and the coefficients of each set.
@@ -226,8 +215,11 @@ class OfferBank:
         free = [[offer for offer in chosen if not offer.fixed] for chosen in sets]
         along = self.along[None].repeat(len(sets), axis=0)
         for n, chosen in enumerate(sets):
+            sites = [offer.site for offer in chosen if offer.site]
+            together = len(sites) - len(set(sites))
+            again = len(chosen) - len({offer.name for offer in chosen}) - together
             totals[n] = sum(offer.log_prior - NONE for offer in chosen)
-            totals[n] += self._odds_of_likes(chosen)
+            totals[n] += self.again * again + self.together * together
             whole = [k for offer in chosen if offer.fixed for k in offer.column_numbers]
             if whole:
                 shared = self.gram[whole].sum(0)
@@ -264,10 +256,7 @@ class OfferBank:
 def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
     """Return the posterior mean (..., K) of coefficients ``root w``, w unit normal.
 
-    Args:
-        s: (..., K, K) products of the columns with each other.
-        t: (..., K) products of the columns with the data.
-        root: (..., K, K).
+    The products of the columns with each other are s (..., K, K), with the data t (..., K).
     """
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
@@ -277,10 +266,7 @@ def _find_mode(s: np.ndarray, t: np.ndarray, root: np.ndarray) -> np.ndarray:
 def _solve_coefficients(
     s: np.ndarray, t: np.ndarray, root: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return mean (..., K), standard deviation (..., K) and log evidence (...) of coefficients.
-
-    Arguments and prior are those of `_find_mode`.
-    """
+    """Return mean (..., K), standard deviation (..., K) and log evidence (...), as `_find_mode`."""
     turned = np.swapaxes(root, -1, -2)
     precision = np.eye(t.shape[-1]) + turned @ s @ root
     inverse = root @ np.linalg.inv(precision) @ turned
