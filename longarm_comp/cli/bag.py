@@ -112,7 +112,7 @@ def day_report(arm: options.Arm, bag: Path, output: Path, namespace: str | None)
 
     \b
     Example:
-      longarm day-report my_arm bag_today -o today.html
+      longarm day-report my_arm/arm.yaml bag_today -o today.html
     """
     from longarm_comp.core.at_work import LEARNED_SAID
     from longarm_comp.core.files import write_text

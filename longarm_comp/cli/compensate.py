@@ -97,6 +97,7 @@ def command(
     from longarm_comp.workflows.compensate_path import compensate_path
     from longarm_comp.workflows.inputs import choose_physics, load_predictor
 
+    target = [_to_number(v) for v in numbers]  # first: a misspelt option is among them
     if (bool(numbers), targets is not None, path is not None).count(True) != 1:
         allowed = "one of X Y Z, --targets FILE, --path FILE"
         raise InputError("compensate", "target", list(numbers), allowed)
@@ -108,9 +109,7 @@ def command(
     base = choose_physics(arm, model)
     form, output = options.form_of(like, output)
     given = (targets or path, *([form.read] if form else []))
-    wanted = (
-        read_targets(*given) if targets or path else Targets.one([_to_number(v) for v in numbers])
-    )
+    wanted = read_targets(*given) if targets or path else Targets.one(target)
     learned = load_predictor(predictor, arm, model) if predictor else None
     chosen = method_of(method, learned)
     alike |= {"method": chosen, "seed": None if seed_q is None else _parse_joints(seed_q, arm)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 from typing import Any, ClassVar
 
-_LONGEST_VALUE = 120
+_LONGEST_VALUE = 240  # three likely mistakes in the rows of a session take 200
 
 
 class LongarmError(Exception):

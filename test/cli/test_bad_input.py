@@ -100,6 +100,10 @@ def test_unreachable_target(work: Path, shell: Shell) -> None:
         (("1", "2"), "target"),
         (("1", "2", "nan"), "target"),
         (("1", "2", "--metod"), "--metod"),
+        (
+            ("--targets", "t.csv", "--metod", "both"),
+            "'--metod'; allowed: numbers in m, or a known option",
+        ),
         (("1", "2", "3", "--seed-q", "1,2"), "--seed-q"),
         (("1", "2", "3", "--method", "network"), "--predictor"),
         ((), "one of X Y Z, --targets FILE"),

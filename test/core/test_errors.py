@@ -27,7 +27,15 @@ def test_job_error_carries_the_facts() -> None:
 def test_any_value_stays_on_one_short_line(value: object) -> None:
     for error in (InputError("a\nb", "field", value, "c\n d"), JobError("no\ngood", value=value)):
         assert len(str(error).splitlines()) == 1
-        assert len(str(error)) < 200
+        assert len(str(error)) < 300
+
+
+def test_likely_mistakes_in_the_rows_are_said_whole() -> None:
+    mistakes = (
+        "row 61 on looks measured from another base, or of another arm and q4 and q5 look swapped"
+        " and q1 looks negated: 188 -> 106 mm, so more is wrong, or it is something else"
+    )
+    assert f"'{mistakes}'; allowed" in str(InputError("s.csv", "rows", mistakes, "rows of the arm"))
 
 
 @pytest.mark.parametrize("error", [InputError("f", "x", 1, "2"), JobError("why", at_m=0.5)])

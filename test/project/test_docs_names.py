@@ -63,6 +63,21 @@ def test_commands_and_options(page: Path) -> None:
         written = {w.split("=")[0].rstrip(".,;") for w in rest if re.match(r"-[-a-zA-Z]", w)}
         strange = {w for w in written if not re.match(r"-\d", w)} - options(name)
         assert not strange, f"longarm {name}: {strange}"
+        assert_arm_is_a_file(name, rest)
+
+
+def assert_arm_is_a_file(name: str, rest: list[str]) -> None:
+    """Assert that the words after a command's name do not give a folder where it reads arm.yaml."""
+    params = click_command(name).params
+    if params and params[0].metavar == "ARM" and rest and not rest[0].startswith("-"):
+        assert rest[0].endswith(("ARM", ".yaml")), f"longarm {name} {rest[0]}: a folder"
+
+
+@pytest.mark.parametrize("name", ENTRIES)
+def test_examples_of_the_help_give_the_file_of_the_arm(name: str) -> None:
+    for words in calls(f"```\n{click_command(name).help}\n```"):
+        if words[: len(name.split())] == name.split():
+            assert_arm_is_a_file(name, words[len(name.split()) :])
 
 
 def test_what_is_wrong_is_noticed() -> None:

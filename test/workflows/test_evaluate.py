@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,7 @@ from small_arm import ARM
 
 import longarm_comp as la
 from longarm_comp.core.data.plan import Plan, outside_boxes, with_floor
+from longarm_comp.core.effects.placements import BasePose
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.sessions.csv import write_csv
@@ -74,6 +77,19 @@ def test_an_arm_that_stands_elsewhere_is_judged_and_said() -> None:
     assert any("from where the model expects it" in text for text in notes)
     with pytest.raises(la.JobError, match="from where the model expects it"):
         la.train(ARM, moved, model=la.Model(ARM), **QUICK)
+
+
+@pytest.mark.parametrize("group", ["", "c"])
+def test_rows_of_a_place_that_the_model_does_not_know_are_said_to_be(group: str) -> None:
+    rows, notes = session(n=30), []
+    bases = (BasePose(group="a", x=1.0), BasePose(group="b", x=-1.0))
+    xyz = rows.xyz + np.array([0.5, 0.0, 0.0])
+    moved = replace(rows, xyz=xyz, labels={"group": np.full(30, group)} if group else {})
+    la.evaluate(ARM, moved, model=la.Model(ARM, bases), note=notes.append)
+    said = r"name in a column group where the base stood \(a, b\), or calibrate first"
+    assert any(re.search(said, text) for text in notes), notes
+    with pytest.raises(la.JobError, match=said):
+        la.train(ARM, moved, model=la.Model(ARM, bases), **QUICK)
 
 
 @pytest.mark.parametrize(

@@ -83,7 +83,7 @@ def refuse_moved_parts(fit: ModelFit) -> None:
     before = float(np.sqrt((size**2).mean()))
     if (share * before) ** 2 < (1.0 - MOST_TAKEN) * before**2:
         raise JobError(
-            f"the rows fall into two groups in order: from row {when} the {where} "
+            f"the rows fall into two groups in order: from index {when} the {where} "
             f"looks moved ({1e3 * before:.3g} -> {1e3 * share * before:.3g} mm); tell the "
             "groups by a column group (the base), or by another marker there",
             session=fit.session.source,

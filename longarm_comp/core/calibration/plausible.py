@@ -162,12 +162,16 @@ def measure_offset(model: Model, session: Session) -> float:
 
 def describe_offset(model: Model, session: Session) -> str:
     """Return a text on how far the arm is from where a model puts it; "" if it is there."""
-    if off := measure_offset(model, session):
-        return (
-            f"the arm is {1e3 * off:.3g} mm from where the model expects it; "
-            "calibrate first, which finds base and tip, and use that model"
-        )
-    return ""
+    off = measure_offset(model, session)
+    if not off:
+        return ""
+    far = f"the arm is {1e3 * off:.3g} mm from where the model expects it"
+    bases = (e.placement.get("group") for e in model.effects if e.base(model.arm) is not None)
+    known = sorted(str(group) for group in bases if group)
+    if known and not set(session.texts("group")) <= set(known):
+        places = ", ".join(known)
+        return f"{far}: name in a column group where the base stood ({places}), or calibrate first"
+    return f"{far}; calibrate first, which finds base and tip, and use that model"
 
 
 def check_noise(sigma: np.ndarray, session: Session) -> None:

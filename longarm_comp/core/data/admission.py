@@ -269,7 +269,7 @@ def _check_copies(session: Session) -> Iterator[AdmissionFinding]:
     if len(np.unique(seen.pose_id[hidden])) > 1:
         value = f"0, 0, 0 in {hidden.sum()} rows at several poses"
         raise session.error("x, y, z", value, "blank where the marker was hidden")
-    if 2 * copies > len(seen):
+    if copies and 2 * copies >= len(seen):
         value = f"{copies} of {len(seen)} are copies"
         raise session.error("rows", value, "measured rows, once each")
     if copies:

@@ -146,7 +146,7 @@ def test_rows_of_a_base_that_stood_elsewhere_for_a_while_are_told(
     there = (session.index >= first) & (session.index < end)
     away = dataclasses.replace(session, xyz=session.xyz + there[:, None] * [0.0, 0.012, 0.016])
     *_, (_, fitted) = fit_stages(Model(PALLETISER), away)
-    with pytest.raises(JobError, match=rf"from row {when} the base looks moved \(.* -> 0\.\d+ "):
+    with pytest.raises(JobError, match=rf"from index {when} the base looks moved \(.* -> 0\.\d+ "):
         refuse_moved_parts(fitted)
 
 
@@ -155,7 +155,9 @@ def test_a_base_that_was_moved_is_told_with_its_row(made: Model) -> None:
     late = session.index >= 24
     away = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.02, 0.0, 0.0])
     *_, (_, fitted) = fit_stages(Model(PALLETISER), away)
-    with pytest.raises(JobError, match=r"from row 24 on the base looks moved \(9\.\d+ -> 0\.\d+ "):
+    with pytest.raises(
+        JobError, match=r"from index 24 on the base looks moved \(9\.\d+ -> 0\.\d+ "
+    ):
         refuse_moved_parts(fitted)
     far = dataclasses.replace(session, xyz=session.xyz + late[:, None] * [0.2, 0.0, 0.0])
     with pytest.raises(InputError, match="row 73 on looks measured from another base"):

@@ -91,6 +91,9 @@ REFUSED: dict[str, Callable[[Session], Session]] = {
     "40 of 60 are copies": lambda s: dataclasses.replace(
         s.take(np.repeat(np.arange(20), 3)), index=np.arange(60)
     ),
+    "80 of 160 are copies": lambda s: dataclasses.replace(
+        s.take(np.tile(np.arange(80), 2)), index=np.arange(160)
+    ),
     "index of row 11: 9; allowed: each index once": lambda s: dataclasses.replace(
         s, index=np.where(np.arange(80) == 10, 9, s.index)
     ),
