@@ -261,6 +261,7 @@ def test_a_urdf_names_no_code_and_no_file(
 ) -> None:
     """Though Python would find the trap by its name."""
     monkeypatch.syspath_prepend(trap.parent)
+    monkeypatch.delitem(sys.modules, "evil", raising=False)
     trap.with_name("arm.urdf").write_text(text)
     words = ("import-urdf", "arm.urdf", "--base", "a", "--tip", "b", "-o", "out.yaml")
     assert shell.refused(*words) and not executed(trap)
