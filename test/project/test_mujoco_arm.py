@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import re
 import subprocess
@@ -13,19 +14,22 @@ import pytest
 from few_effects import few_effects
 from places import EXAMPLES
 
-pytest.importorskip("mujoco", reason="MuJoCo is not installed: run make setup")
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("mujoco") is None, reason="MuJoCo is not installed: run make setup"
+)
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
-
-sys.path.append(str(EXAMPLES))
-
-from mujoco_arm import JOINTS, RealArm
-from mujoco_draws import HAS, measured, reached
 
 import longarm_comp as la
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 
 SOFT = (2, 3)
 """Shoulder and elbow: their drives carry enough that the rows tell how soft they are."""
+
+
+@pytest.fixture
+def examples(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Examples import each other. They are imported where they are used: MuJoCo takes a moment."""
+    monkeypatch.syspath_prepend(EXAMPLES)
 
 
 def ran(*words: object) -> str:
@@ -45,8 +49,12 @@ def test_nothing_of_the_arm_is_ours() -> None:
     assert found.stdout.strip() == "[]"
 
 
+@pytest.mark.usefixtures("examples")
 def test_its_tip_goes_where_it_is_told_by_what_its_rows_say() -> None:
     """Without a graph; in `make long` over one."""
+    from mujoco_arm import RealArm
+    from mujoco_draws import measured, reached
+
     arm, rng = la.Arm.load(EXAMPLES / "mujoco_arm.yaml"), np.random.default_rng([1, 3])
     rows = measured(RealArm(1), la.plan(arm, 40, seed=1).q, rng)
     with few_effects((JointCompliance, ServoDroop)):
@@ -59,7 +67,10 @@ def test_its_tip_goes_where_it_is_told_by_what_its_rows_say() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("examples")
 def test_the_whole_way_over_the_graph(ros_domain: int, tmp_path: Path) -> None:
+    from mujoco_arm import JOINTS, RealArm
+
     walk = tmp_path / "walk"
     said = ran(EXAMPLES / "mujoco_walk.py", walk, "--poses", 60, "--targets", 10, "--speed", 100)
     without, compensated, p90 = np.loadtxt(walk / "errors.csv", delimiter=",", skiprows=1).T[3:]
@@ -87,8 +98,12 @@ def test_the_whole_way_over_the_graph(ros_domain: int, tmp_path: Path) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.usefixtures("examples")
 def test_gears_at_three_joints_do_not_stand_for_a_hose() -> None:
     """Only several functions at once do better, and no exchange of one for one finds them."""
+    from mujoco_arm import RealArm
+    from mujoco_draws import HAS, measured
+
     arm, seed = la.Arm.load(EXAMPLES / "mujoco_arm.yaml"), 12
     rows = measured(
         RealArm(seed, True), la.plan(arm, 100, seed=seed).q, np.random.default_rng([seed, 3])

@@ -39,10 +39,10 @@ def executed(trap: Path) -> bool:
     return trap.with_name("executed").exists()
 
 
-def program(cwd: Path, *words: object, script: str = "longarm") -> tuple[int, str]:
-    """Exit code and errors of an installed program that is started in a folder."""
+def program(cwd: Path, *words: object) -> tuple[int, str]:
+    """Exit code and errors of `longarm`, as it is installed, started in a folder."""
     done = subprocess.run(
-        [str(Path(sys.executable).with_name(script)), *map(str, words)],
+        [str(Path(sys.executable).with_name("longarm")), *map(str, words)],
         cwd=cwd, capture_output=True, text=True, timeout=300, check=False,
         env={k: v for k, v in os.environ.items() if k != "PYTHONSAFEPATH"},
     )  # fmt: skip
@@ -100,18 +100,24 @@ def test_a_node_takes_it_from_its_command_line_only(trap: Path, node: str, optio
     file = trap.with_name(f"{node}.yaml")
     file.write_text(parameters(node, arm=str(arm), **{option: str(trap)}))
     ros = ("--ros-args", "--params-file", file)
-    code, said = program(trap.parent, *ros, script=node)
+
+    def ran(*words: object) -> tuple[int, str]:
+        """Exit code of the node in the folder of the trap, and what it said."""
+        with tempfile.TemporaryFile("w+") as heard:
+            asked = [f"longarm_comp.nodes.{node}", *map(str, (*words, *ros))]
+            code = ForkedProgram(asked, str(trap.parent), dict(os.environ), heard).wait(300)
+            heard.seek(0)
+            return code, heard.read()
+
+    code, said = ran()
     assert (code, executed(trap)) == (2, False), said
     assert option in said and len(said.splitlines()) == 1
     wrong = (["--effect", trap], [f"--{option}"], [trap, f"--{option}"])
     for words in wrong if node == "kinematics" else ():  # one reader of words for all nodes
-        with tempfile.TemporaryFile("w+") as heard:
-            asked = [f"longarm_comp.nodes.{node}", *map(str, (*words, *ros))]
-            refused = ForkedProgram(asked, str(trap.parent), dict(os.environ), heard)
-            assert (refused.wait(timeout=300), executed(trap)) == (2, False)
-            heard.seek(0)
-            assert "command line: arguments: " in heard.read()
-    code, said = program(trap.parent, f"--{option}", trap, *ros, script=node)
+        code, said = ran(*words)
+        assert (code, executed(trap)) == (2, False), said
+        assert "command line: arguments: " in said
+    code, said = ran(f"--{option}", trap)
     assert executed(trap), said  # and then it is refused, because it defines nothing
     assert (code, len(said.splitlines())) == (2, 1)
 
@@ -250,9 +256,13 @@ def test_a_graph_that_is_given_the_file_knows_its_effects(tmp_path: Path) -> Non
         '<robot name="a" xmlns:xacro="x"><xacro:property name="p" value="${evil}"/></robot>',
     ],
 )
-def test_a_urdf_names_no_code_and_no_file(trap: Path, text: str) -> None:
+def test_a_urdf_names_no_code_and_no_file(
+    trap: Path, text: str, shell: Shell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Though Python would find the trap by its name."""
+    monkeypatch.syspath_prepend(trap.parent)
+    monkeypatch.delitem(sys.modules, "evil", raising=False)
     trap.with_name("arm.urdf").write_text(text)
     words = ("import-urdf", "arm.urdf", "--base", "a", "--tip", "b", "-o", "out.yaml")
-    code, said = program(trap.parent, *words)
-    assert (code, executed(trap), len(said.splitlines())) == (2, False, 1), said
-    assert "touch" not in said
+    assert shell.refused(*words) and not executed(trap)
+    assert len(shell.err.splitlines()) == 1 and "touch" not in shell.err

@@ -16,7 +16,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
@@ -28,7 +28,6 @@ from browser import browser
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from nodes_bench import PATIENCE_S, Bench, bench
 from own_graph import own_graph
-from playwright.sync_api import Page, ViewportSize, sync_playwright
 from rclpy.node import Node
 from std_srvs.srv import SetBool, Trigger
 from target_requests import pose
@@ -45,6 +44,9 @@ from longarm_comp.nodes.messages import joints_message, pose_message
 from longarm_comp.view.scene import BLUE, GREEN, ORANGE
 from longarm_interfaces.msg import DriverState
 
+if TYPE_CHECKING:
+    from playwright.sync_api import Page, ViewportSize
+
 NAMESPACE = "left_arm"
 BESIDE = np.array([0.0008, -0.0006, 0.0])
 MEAN_WORDS = '<img src="x" onerror="window.planted = true">'
@@ -52,7 +54,7 @@ FEW_FRAMES = (
     "window.requestAnimationFrame = (draw) => setTimeout(() => draw(performance.now()), 700)"
 )
 """Without a GPU 60 frames a second take all of a machine."""
-WIDE = ViewportSize(width=800, height=500)
+WIDE: ViewportSize = {"width": 800, "height": 500}
 
 RING = MoveRing(4.8, 2.1e-3, 10.1, 0.01, declared=False)
 
@@ -163,6 +165,8 @@ class Stand:
 
 @pytest.fixture
 def stand(tmp_path: Path, demo_arm_path: Path) -> Iterator[Stand]:
+    from playwright.sync_api import sync_playwright
+
     seen_by = browser()
     with own_graph(tmp_path), bench() as stage, sync_playwright() as play:
         quick = {"arm": demo_arm_path, "markers.period_s": 0.2, "diagnostics_period_s": 0.3}

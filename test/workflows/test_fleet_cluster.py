@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -10,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from click.testing import CliRunner
@@ -24,13 +26,19 @@ from longarm_comp.workflows import cluster
 from longarm_comp.workflows.fleet import fleet
 from studies.fleet import command as study
 
-distributed = pytest.importorskip(
-    "dask.distributed", reason="dask is not installed: pip install 'longarm_comp[cluster]'"
+if TYPE_CHECKING:
+    from dask import distributed
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("distributed") is None,
+    reason="dask is not installed: pip install 'longarm_comp[cluster]'",
 )
 
 
 @pytest.fixture(scope="module")
 def two() -> Iterator[distributed.LocalCluster]:
+    from dask import distributed  # a third of a second, for each worker of pytest
+
     with distributed.LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=":0", memory_limit=None
     ) as made:
@@ -94,6 +102,8 @@ def test_a_task_that_ends_its_workers_is_one_failure(
 
 
 def test_a_scheduler_that_goes_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    from dask import distributed
+
     made = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=":0")
     told = cluster.run_tasks(
         time.sleep, [(0.0,), (60.0,)], made.scheduler_address, workers=1, asked="fleet"
@@ -107,6 +117,8 @@ def test_a_scheduler_that_goes_is_one_line(monkeypatch: pytest.MonkeyPatch) -> N
 def test_without_a_scheduler_a_worker_or_dask_it_is_refused(
     arms: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    from dask import distributed
+
     monkeypatch.setattr(cluster, "ANSWER_S", 0.5)
     monkeypatch.setattr(cluster, "WORKER_S", 0.5)
     out = tmp_path / "out"

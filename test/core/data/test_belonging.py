@@ -276,8 +276,15 @@ PARTS = {
 }
 
 
-@pytest.mark.parametrize("share", [0.08, 0.25])
-@pytest.mark.parametrize("text", PARTS)
+@pytest.mark.parametrize(
+    ("text", "share"),
+    [
+        *((text, 0.25) for text in PARTS),
+        ("q1 looks negated", 0.08),
+        pytest.param("x and y look swapped", 0.08, marks=pytest.mark.long),
+        pytest.param("y looks negated", 0.08, marks=pytest.mark.long),
+    ],
+)
 def test_a_mistake_in_a_part_of_the_rows_is_told(
     demo: Arm, session: Session, text: str, share: float
 ) -> None:
