@@ -17,7 +17,8 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
-from longarm_comp.core.identify.discover.functions import DENSE, REFINED
+from longarm_comp.core.identify.discover.functions import REFINED
+from longarm_comp.core.identify.discover.inputs import DENSE
 from longarm_comp.core.model.model import slots_of
 
 COARSEST, FINEST = 12, 5000

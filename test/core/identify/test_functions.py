@@ -180,6 +180,11 @@ def test_a_stop_begins_where_it_begins() -> None:
     assert "behaves like a contact, a stop or a taut cable" in cause.sentence
 
 
+def test_positions_near_each_other_are_two_and_those_that_sag_blurs_are_one() -> None:
+    assert count_levels(np.array([0.0, 0.013, 0.5, 1.0])) == 4
+    assert count_levels(np.array([0.0, 0.005, 0.5, 1.0])) == 3
+
+
 @pytest.mark.parametrize("seed", range(2))
 def test_where_nothing_is_hidden_nothing_is_found(seed: int) -> None:
     assert explained(SMALL, measured(SMALL, (), ROWS, seed)).found == ()

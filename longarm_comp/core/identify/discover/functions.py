@@ -28,7 +28,12 @@ from longarm_comp.core.effects.shapes import (
     Threshold,
     Wave,
 )
-from longarm_comp.core.identify.discover.inputs import FunctionInput, FunctionInputs
+from longarm_comp.core.identify.discover.inputs import (
+    DENSE,
+    LOOKS,
+    FunctionInput,
+    FunctionInputs,
+)
 
 ANALYTIC = 0.25
 """Factor by which the Legendre coefficients of a physical function of one joint fall from one order
@@ -38,12 +43,6 @@ ORDERS = 5
 ones are waves."""
 TOTAL = 3
 """Highest sum of the Legendre orders of a smooth function of two inputs: nine coefficients."""
-LOOKS = 7
-"""Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
-half a period is no shorter than the distance of two of these values."""
-DENSE = LOOKS * LOOKS
-"""Number of values on the fine grid around the best. If rows were set aside as outliers, the whole
-scale of a form is searched that finely."""
 REFINED = 4
 """Number of the best candidates of a rough search that are searched finely: the log prior of a
 refined function includes the choice among these."""

@@ -29,9 +29,16 @@ from longarm_comp.core.identify.model_tolerance import FORM_KNOWN_WITHIN
 
 FINE = FORM_KNOWN_WITHIN
 """Smallest part of a range that counts. Two inputs count as one if one explains the other but for
-this part, rms. Values count as one if they differ by less: a sagging arm blurs the positions of its
-joints. A load or a direction of gravity counts if its range is larger than this part of the widest
-of its kind: less may be sag or an error of declared masses and lengths, right to a few percent."""
+this part, rms. A load or a direction of gravity counts if its range is larger than this part of the
+widest of its kind: less may be sag or an error of declared masses and lengths, right to a few
+percent."""
+LOOKS = 7
+"""Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
+half a period is no shorter than the distance of two of these values."""
+DENSE = LOOKS * LOOKS
+"""Number of values on the fine grid around the best. If rows were set aside as outliers, the whole
+scale of a form is searched that finely. Positions of a joint are told apart on it over its range: a
+palletiser stands at few positions, some of them near each other."""
 FEW_LEVELS = 3
 """With this many positions of a joint or fewer, no curve of it can be told from another."""
 
@@ -207,6 +214,6 @@ def _add_distinct(
 
 
 def count_levels(values: np.ndarray) -> int:
-    """Return the number of values that are distinct by more than `FINE` of their range."""
+    """Return the number of values that are distinct on a fine grid (`DENSE`) over their range."""
     span = float(np.ptp(values)) or 1.0
-    return len(np.unique(np.round((values - values.min()) / (FINE * span))))
+    return len(np.unique(np.round((DENSE - 1) * (values - values.min()) / span)))

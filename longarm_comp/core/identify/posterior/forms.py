@@ -19,7 +19,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import BETTER, OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.discover.functions import DENSE, LOOKS
+from longarm_comp.core.identify.discover.inputs import DENSE, LOOKS
 from longarm_comp.core.identify.posterior.offer import ROUNDING
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 

@@ -25,7 +25,8 @@ from longarm_comp.core.identify.discover.bank import (
     make_banks,
     make_term,
 )
-from longarm_comp.core.identify.discover.functions import DENSE, REFINED, vary_shape
+from longarm_comp.core.identify.discover.functions import REFINED, vary_shape
+from longarm_comp.core.identify.discover.inputs import DENSE
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
