@@ -133,7 +133,7 @@ def by_name(
 def numbers_by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Return the values of a repeated flag ``NAME=VALUE`` as numbers, as `by_name`.
+    """Return the values of a repeated flag ``NAME=VALUE`` as numbers, read as `by_name` does.
 
     Raises:
         InputError: a value is no number, or its size is a million or more.

@@ -137,7 +137,7 @@ class ArmClient(GraphClient):
         self.until(lambda: count_drivers(self.node) < 2, within_s, several)
 
         def driver_hears() -> bool:
-            """Tell whether all listeners to commands are matched, and not only kinematics."""
+            """Tell whether a driver listens to commands, and every listener is connected."""
             topic = self.node.resolve_topic_name(graph.JOINT_TRAJECTORY.name)
             ends = self.node.get_subscriptions_info_by_topic(topic)
             driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
@@ -276,7 +276,7 @@ class ArmClient(GraphClient):
     def look(
         self, path: np.ndarray, pace: Pace, start: np.ndarray | None
     ) -> tuple[int, list[np.ndarray]]:
-        """Wait for the end of a path as `arrive`, then collect sightings of the tip.
+        """Wait for the end of a path as `arrive` does, then collect sightings of the tip.
 
         The wait ends early if the marker is lost in all of the first ``2 * pace.sightings`` images.
 

@@ -163,8 +163,8 @@ class ArmState:
     def take_in(self, source: str, columns: dict[str, float], at_s: float | None = None) -> None:
         """Keep circumstances that were received or estimated.
 
-        Values that are not finite are dropped. An impossible value is noted with its fault, and
-        replaces the earlier reading: the message shows that this reading is out of date.
+        Values that are not finite are dropped. An impossible value is kept with the reason why it
+        is impossible. It replaces the earlier reading, because that is out of date by now.
 
         Args:
             source: where the values come from, such as ``temperature``.

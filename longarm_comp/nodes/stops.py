@@ -175,7 +175,7 @@ class Stops:
     def owe_off(self, owed: bool) -> None:
         """Set whether torque must be switched off while no arm is configured.
 
-        If so, it is sent now, and repeatedly until every servo has confirmed it.
+        If so, torque off is sent now, and repeatedly until every servo has confirmed it.
         """
         self._owed = owed
         self._pay()
@@ -207,7 +207,7 @@ class Stops:
         return self._write_down(Stop.HOLD, "held: torque on, trajectories refused")
 
     def _write_down(self, stop: Stop, done: str) -> str:
-        """Save a stop; return ``done``, or the driver's state if some part of it is not done."""
+        """Save a stop; return ``done``, or the driver's state if it is not done or not saved."""
         self._latch.keep()
         return self.state[1] if self._torque_yet(stop) or self.unkept else done
 

@@ -357,11 +357,11 @@ class _Batch:
         ]
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Find and store joints for some of N targets; return the failed searches by number.
+        """Find and store joints for some of N targets; return the failed searches by target number.
 
         Args:
-            rows: numbers of the targets.
-            to: (N, 3) or (N, 4, 4), where the physics shall bring the tip.
+            rows: numbers of the targets to search for.
+            to: (N, 3) or (N, 4, 4): where the tip must be by the physical model.
             starts: largest number of starts of each search.
         """
         locked, free = self.options.locked, self.position_only

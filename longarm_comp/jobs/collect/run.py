@@ -82,7 +82,7 @@ _HINT = "longarm plan --seen leaves such poses out; --give-up 0 never ends early
 
 
 def progress_message(now: Progress, namespace: str) -> DiagnosticStatus:
-    """Return the diagnostic status ``collect`` (docs/ros.md), without values not known yet."""
+    """Return the diagnostic status ``collect`` (docs/ros.md), with the values known so far."""
     losing = WARN if now.lost_visits else OK
     values: dict[str, object] = {
         "state": now.state,

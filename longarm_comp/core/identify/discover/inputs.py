@@ -194,7 +194,7 @@ def _add_distinct(
     """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`ALIKE`).
 
     Args:
-        arm: None on the measuring side.
+        arm: the arm; None for a quantity on the measuring side, which needs none.
     """
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))

@@ -262,12 +262,12 @@ def _principal_functions(values: np.ndarray) -> np.ndarray:
 
 
 def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
-    """Return (N, d, k) columns of single rows whose shift a form's tolerance changes too much.
+    """Return (N, d, k) columns, each the change of one row's shift by an error of a term's scales.
 
-    These are rows near a threshold: their change is more than this share of the largest shift.
+    Only a row near a threshold has one: its change exceeds `tolerance` times the largest shift.
 
     Args:
-        tolerance: the relative error of the form's scales.
+        tolerance: relative error of the scales.
     """
     columns = FitColumns(fitted)
     largest = np.abs(columns.shift_by([term])).max()
