@@ -80,8 +80,8 @@ def apply(diagnosis: Path, namespace: str, **how: Any) -> None:
 def undo(model: Path, predictor: Path | None) -> None:
     """Restore the version of MODEL before the last change, byte for byte.
 
-    The predictor that belonged to that version is restored too. A predictor of the version that is
-    taken back is set aside. Running nodes notice the change.
+    The predictor that belonged to that version is restored too. A predictor of the undone
+    version is set aside. Running nodes notice the change.
 
     \b
     Examples:

@@ -52,9 +52,11 @@ def table(*columns: str, without: str = "") -> Kind:
 
 
 def folder(*names: str, told_by: str = "", schema: str = "") -> Kind:
-    """Return a test for folders that hold none of these files, or those of an earlier call.
+    """Return a test for folders that hold none of the files ``names``, or those of an earlier call.
 
-    That call left the JSON file `told_by`, whose entry ``schema`` is `schema` (empty: any).
+    Args:
+        told_by: JSON file by which an earlier call is known.
+        schema: its entry ``schema``; empty: any.
     """
 
     def ours(path: Path) -> bool:

@@ -121,7 +121,11 @@ def by_name(
 def numbers_by_name(
     command: str, flag: str, given: Sequence[str], form: str, names: Sequence[str] | None = None
 ) -> dict[str, float]:
-    """Read the values as `by_name`, which must be numbers with a size below a million."""
+    """Return the values of a repeated flag ``NAME=VALUE`` as numbers, read as `by_name` does.
+
+    Raises:
+        InputError: a value is no number, or its size is a million or more.
+    """
     values = {}
     for name, text in by_name(command, flag, given, form, names).items():
         try:

@@ -110,7 +110,7 @@ def follow_link(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def atomic_paths(*paths: str | os.PathLike[str]) -> Iterator[list[Path]]:
-    """Yield a temporary path for each of several files that belong together, as `atomic_path`.
+    """Yield a temporary path, as `atomic_path` does, for each of several files that go together.
 
     None of the files is replaced before all are written.
     """

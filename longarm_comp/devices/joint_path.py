@@ -29,8 +29,8 @@ def check_trajectory(
         start: (n,) rad and m: where joints stay that the trajectory does not name.
 
     Returns:
-        Times (k,), s; positions (k, n), rad and m; and velocities (k, n), or None if it has none.
-        Joints are in the order of ``config``.
+        Times (k,), s; positions (k, n), rad and m, within the limits; and velocities (k, n), or
+        None if it has none. Joints are in the order of ``config``.
 
     Raises:
         InputError: naming the field that is not allowed.
@@ -67,6 +67,8 @@ def check_trajectory(
     for column, (name, joint) in zip(positions.T, config.joints.items(), strict=True):
         for k in (int(column.argmin()), int(column.argmax())):
             joint.check_inside(float(column[k]), _WHERE, f"points[{k}].positions of {name}")
+        # Less than half a tick beyond a limit is the limit, where the motion ends
+        np.clip(column, joint.lower, joint.upper, out=column)
     return times, positions, velocities if with_velocities else None
 
 

@@ -29,7 +29,7 @@ from longarm_comp.devices.setup_journal import SetupJournal
 from longarm_comp.devices.turn_counts import TurnCounts
 
 _LOOK_S = 0.5
-"""Time, s, after which it is looked again whether the torque is still on."""
+"""Time between two checks whether the torque is still on, s."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +71,13 @@ class ServoArm:
 
     Raises:
         BusUnplugged, IncompleteReply: the port or a servo is not there.
-        JobError: a servo is of another model than configured, or its stored settings do not allow
-            to command it.
+        JobError: a servo is of another model than configured, or with its stored settings it would
+            misunderstand commands.
 
     Args:
         stopped: whether an emergency stop is in force. Torque off is then sent as soon as the port
             is open, whichever servos answer.
-        journal: what a setup of this arm left; it is ended, because the servos are set as
+        journal: journal of setups of this arm; its entries are removed once the servos are set as
             configured.
 
     Attributes:
@@ -96,26 +96,27 @@ class ServoArm:
         self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
-        self._counts, self._now = TurnCounts(config), math.nan  # and when the last cycle began
+        self._counts = TurnCounts(config)
+        self._now = math.nan  # when the last cycle began
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
-        self.owing_off = stopped  # torque off was not confirmed yet
-        self._unheld: set[int] = set()  # servos that are not known to hold since a fault
-        self._look_at = 0.0  # when to look next whether the torque is on
-        self._missed: set[int] = set()  # servos not heard since all were read to be driven
-        self._next_try = 0.0
-        self._closed = f"{config.bus.port} is unplugged"
+        self.owing_off = stopped  # whether torque off is due, and not every servo confirmed it
+        self._unheld: set[int] = set()  # servos that have not confirmed their hold since a fault
+        self._look_at = 0.0  # when to check next whether the torque is on
+        self._missed: set[int] = set()  # servos that were silent since the last such check
+        self._next_try = 0.0  # when to try next to reopen the port, or to switch the torque off
+        self._closed = f"{config.bus.port} is unplugged"  # why there is no bus, if there is none
         self.bus: SerialServoBus | None = self._open_bus(again=False)
 
     def _open_bus(self, again: bool) -> SerialServoBus:
         """Open the port and check the servos.
 
-        ``again``: whether it was open before. Then it may lead to another arm now, so servos that
-        are set for other turns than configured are refused.
+        ``again``: whether it was open before. It may lead to another arm now, so servos set for one
+        turn instead of many, or the reverse, are then refused and not changed.
         """
         bus = self.config.open_bus()
         try:
-            if self.owing_off:  # before anything that a silent or another servo may break off
+            if self.owing_off:  # first, because the checks below fail if one servo is silent
                 with contextlib.suppress(IncompleteReply, ServoFault):
                     bus.torque(self._ids, on=False)
             self._check_servos(bus, turned=again)
@@ -130,7 +131,7 @@ class ServoArm:
     def _check_servos(self, bus: SerialServoBus, turned: bool) -> None:
         """Refuse servos of other models, or with settings that give commands another meaning.
 
-        ``turned``: whether they must be set for one turn or many as configured already.
+        ``turned``: whether servos set for one turn instead of many, or the reverse, are refused.
         """
         for name, joint in self.config.joints.items():
             number = bus.ping(joint.servo_id)
@@ -156,7 +157,7 @@ class ServoArm:
                     "configure the driver again"
                 )
         for joint in self.config.joints.values():
-            speed = 1.5 * joint.max_speed_ticks_s  # kept by the servo itself, so that none lags
+            speed = 1.5 * joint.max_speed_ticks_s  # limit in the servo itself, so that none lags
             most = kept[joint.servo_id].speed_ticks_s
             self._speeds[joint.servo_id] = speed if most is None else min(speed, most)
 
@@ -175,7 +176,7 @@ class ServoArm:
                 )
 
     def _set_turns(self, bus: SerialServoBus) -> None:
-        """Set the servos permanently for one turn or many as configured; refuse driven ones."""
+        """Set the servos permanently for one turn or many as configured; never a driven one."""
 
         def refuse_driven(changes: dict[int, Change]) -> None:
             if driven := [i for i, on in bus.driven(list(changes)).items() if on]:
@@ -193,12 +194,12 @@ class ServoArm:
     def power(self, on: bool) -> None:
         """Switch the torque on or off.
 
-        Off also drops the present motion. If it is not confirmed, `cycle` repeats it until it is.
+        Off also drops the present motion. `cycle` repeats it until every servo has confirmed it.
         If not every servo can be switched on, all are switched off again, unless they were on.
 
         Raises:
-            BusUnplugged, IncompleteReply, ServoFault: it could not be switched (on), or was not
-                confirmed (off).
+            BusUnplugged, IncompleteReply, ServoFault: some servo was not switched on, or did not
+                confirm that it is off.
             JobError: a servo was set for other turns meanwhile, or may have lost count of them
                 (`TurnCounts`).
         """
@@ -228,7 +229,7 @@ class ServoArm:
             self.follower.hold_at({**self._counts.stood, **goals})
 
     def _goals_to_hold(self, bus: SerialServoBus) -> dict[int, int]:
-        """Return the goals, ticks by id, of driven servos that rest in their droop.
+        """Return the present goals, ticks by id, of driven servos that rest in their droop.
 
         They keep these goals: a loaded arm would sink if its present position became the goal.
         """
@@ -252,7 +253,7 @@ class ServoArm:
             self._counts.lose(i for i in off if not states[i].error_flags)
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
-        """As `ServoFollower.accept`; also raises JobError while the torque is off."""
+        """Accept a trajectory (`TrajectoryFollower.accept`); JobError also while torque is off."""
         if not self.powered:
             raise JobError("the torque is off")
         if trajectory.points and self.follower.is_fresh(now):
@@ -260,7 +261,7 @@ class ServoArm:
         return self.follower.accept(trajectory, now)
 
     def estop(self) -> None:
-        """Switch the torque off and refuse commands until `release`. Raises as `power`."""
+        """Switch the torque off and refuse commands until `release`. Raises what `power` raises."""
         self.follower.estop()
         self.power(False)
 
@@ -318,7 +319,7 @@ class ServoArm:
             self._unheld = set(self._ids)
         if self.bus is not None and self.powered:
             try:
-                if stopped:  # until it is confirmed: a servo that lost a goal drives on
+                if stopped:  # repeated until confirmed: a servo that misses its goal drives on
                     self._hold_unheld(self.bus)
                 elif step.goals:
                     self.bus.write_goal(step.goals, self._speeds)
@@ -327,9 +328,9 @@ class ServoArm:
         return Cycle(step, self._convert_states(states), states, trouble)
 
     def _hold_unheld(self, bus: SerialServoBus) -> None:
-        """Hold servos where they are, once each is heard, trusted and driven, until it confirms it.
+        """Hold each servo that has not confirmed its hold, if its reading is trusted in this cycle.
 
-        Servos without torque get no goal, because a goal would switch it on.
+        A servo without torque gets no goal, because a goal would switch its torque on.
         """
         goals = self.follower.find_holding_goals()
         driven = bus.driven(sorted(self._unheld & goals.keys()))
@@ -343,7 +344,7 @@ class ServoArm:
         """Switch the torque off if possible and release the port. Must not raise.
 
         Returns:
-            The reason why not every servo has confirmed it; empty if all have.
+            The reason why some servo has not confirmed torque off; empty if all have.
         """
         why = ""
         for _ in range(3):
@@ -383,7 +384,7 @@ class ServoArm:
         return str(error)
 
     def _mend_bus(self) -> None:
-        """Reopen a lost port, and switch the torque off if this is due; else it stays as it is."""
+        """Reopen a lost port, and switch the torque off if this is due (`owing_off`)."""
         try:
             self.bus = self.bus or self._open_bus(again=True)
             if self.owing_off:

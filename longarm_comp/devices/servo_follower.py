@@ -1,8 +1,8 @@
 """Follows a joint trajectory: computes bounded servo goals step by step from the read-back.
 
 It uses neither ROS nor a port. The caller reads the bus, calls ``step`` with the states and sends
-the goals that ``step`` returns (`ServoArm.cycle`). On a fault it returns once the goals that hold
-the servos; then no more goals.
+the goals that ``step`` returns (`ServoArm.cycle`). When a fault begins, ``step`` returns once the
+goals that hold the servos. After that it returns no goals until ``reset``.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from longarm_comp.math.shaper import Shaper, Way
 KeepsOut = Callable[[Array], str]
 """Says why the arm must not pass through postures (N, n), rad and m; empty if it may."""
 Shapes = Callable[[Way, float], Shaper | None]
-"""Returns how to split a move (joints over time, and its duration, s); None: not at all."""
+"""Returns how to split a move (joints over time, and its duration, s); None: it is not split."""
 
 
 class TrajectoryFollower:
@@ -50,7 +50,8 @@ class TrajectoryFollower:
 
     Args:
         keeps_out: called for every trajectory, and may refuse it; None: no such check.
-        shapes: called for every trajectory that replaces none; None: no trajectory is shaped.
+        shapes: called for every trajectory that does not replace another one; None: no trajectory
+            is shaped.
         trim: whether goals are corrected at the end of a move until the readings agree (`Trim`).
     """
 
@@ -71,19 +72,20 @@ class TrajectoryFollower:
         self.state = FollowerState.IDLE
         self._events: list[Event] = []
         self._now: float | None = None
-        self._fresh = False
-        self._doubting = False
-        self._settled = True
-        self._still_s = 0.0
-        self._set: Array | None = None
-        self._velocity = np.zeros(len(self._joints))
-        self._goals: dict[int, int] | None = None
+        self._fresh = False  # whether the last step had a trusted reading of every servo
+        self._doubting = False  # whether the motion waits for such readings
+        self._settled = True  # whether the end of the last trajectory has been reported
+        self._still_s = 0.0  # how long all servos have stood still
+        self._set: Array | None = None  # (n,) set-point, rad and m; None: no joint is driven
+        self._velocity = np.zeros(len(self._joints))  # of the set-point
+        self._goals: dict[int, int] | None = None  # last goals, ticks by servo id
         self._held: Mapping[int, int] = {}  # goals (ticks by id) that hold the arm while idle
         self._way: TakenOver | InParts | None = None
-        self._way_time = 0.0
+        self._way_time = 0.0  # time along `_way`, s
         self._turn: Turn | None = None
-        self._trim, self._may_trim = Trim(config), trim
-        self._trims, self._untrimmed = False, ""
+        self._trim, self._trim_wanted = Trim(config), trim
+        self._trimming = False  # whether the arm is trimmed when it rests after this trajectory
+        self._trim_failure = ""  # which joints trim could not bring to their goals
 
     @property
     def set_points(self) -> dict[str, float]:
@@ -96,7 +98,7 @@ class TrajectoryFollower:
         return dict(zip(self._names, self._trim.offset.tolist(), strict=True))
 
     def is_fresh(self, now: float) -> bool:
-        """Tell whether the last step was recent and had a trusted reading of every servo."""
+        """Tell whether the last step was recent, and had a trusted reading of every servo."""
         late = self._now is None or now - self._now > self._config.follower.silence_s
         return self._fresh and not late
 
@@ -104,9 +106,9 @@ class TrajectoryFollower:
         """Accept a trajectory. It starts with the next step, from the present set-point.
 
         Joints that it does not name stay where they are. A trajectory without points stops the arm
-        smoothly from its set-point, whatever was read. A trajectory that is too fast is slowed down
-        (`plan_path`), with an event SLOWED. It always ends at rest, with an event ARRIVED, or SHORT
-        if a joint came to rest elsewhere.
+        smoothly from its set-point, even if the readings are missing or wrong. A trajectory that is
+        too fast is slowed down (`plan_path`), with an event SLOWED. Every trajectory ends at rest,
+        with an event ARRIVED, or SHORT if a joint came to rest elsewhere.
 
         Raises:
             InputError: the trajectory is invalid, or leaves the limits.
@@ -131,8 +133,8 @@ class TrajectoryFollower:
         else:
             path = self._plan_braking(start)
             accepted = Accepted(start, path.end[None], np.zeros(1), replaces)
-        # Points of a move: its run-up and its end. More are a path, which is not trimmed
-        several = len(trajectory.points) > 2
+        # A move has one point, or two: the end of its run-up, and its own. More points are a path
+        is_path = len(trajectory.points) > 2
         taken = self._take_over(path, start)
         way: TakenOver | InParts = taken
         if moves and self._shapes is not None and not replaces:
@@ -144,8 +146,9 @@ class TrajectoryFollower:
                 raise JobError(entry)
         self._set, self._way, self._way_time = start, way, 0.0
         self._turn = find_turn(accepted, self._config.follower) if way is taken else None
-        self._trims, self._untrimmed = self._may_trim and moves and not several, ""
-        self._trim.begin(path=several)
+        self._trimming = self._trim_wanted and moves and not is_path
+        self._trim_failure = ""
+        self._trim.begin(path=is_path)
         self.state, self._settled, self._still_s = FollowerState.TRACKING, False, 0.0
         kind = EventKind.REPLACED if replaces else EventKind.STARTED
         self._note_event(kind, f"{len(trajectory.points)} points, {way.duration:.2f} s")
@@ -155,12 +158,12 @@ class TrajectoryFollower:
         return accepted
 
     def _take_over(self, path: CubicPath, start: Array) -> TakenOver:
-        """Return the path blended with braking from the present set-point and velocity."""
+        """Return a path that begins with a blend from braking the present motion."""
         blend_s = self._config.follower.blend_s
         return TakenOver(path, start, self._velocity.copy(), blend_s, self._lower, self._upper)
 
     def _plan_braking(self, start: Array) -> CubicPath:
-        """Plan from a set-point to the nearest position of rest."""
+        """Return the path that is only the position where braking from a set-point ends."""
         brake = start + 0.5 * self._config.follower.blend_s * self._velocity
         rest = np.clip(brake, self._lower, self._upper)[None]
         return CubicPath(np.zeros(1), rest, np.zeros_like(rest))
@@ -178,7 +181,7 @@ class TrajectoryFollower:
         self._held = dict(goals)
 
     def let_go(self) -> None:
-        """Drop any motion, because the torque is off. A fault or an emergency stop stays."""
+        """Drop any motion, because the torque is off. A fault or emergency stop stays in force."""
         self._held = {}
         if self.state in (FollowerState.TRACKING, FollowerState.HOLDING):
             self.state = FollowerState.IDLE
@@ -227,7 +230,7 @@ class TrajectoryFollower:
     def _move_on(self, dt: float) -> dict[int, int] | None:
         """Take a bounded step of ``dt``, s, along the path; return goals, ticks by servo id.
 
-        None while the read-back of a servo is missing or doubtful.
+        None, and no motion, while the read-back of a servo is missing or doubtful.
         """
         if not self._fresh:
             if not self._doubting:
@@ -240,7 +243,7 @@ class TrajectoryFollower:
         path = self._way.path
         if self._turn is None:
             self._way_time += dt
-        else:  # does not skip the end of a run-up
+        else:  # the end of a run-up is not skipped
             way, turn = self._way, self._turn
             self._way_time = turn.time_after(
                 self._way_time, dt, lambda: not self._find_away(way.at(turn.time_s), turn.joints)
@@ -265,7 +268,7 @@ class TrajectoryFollower:
         return {name: joints[name].to_ticks(value) for name, value in self.set_points.items()}
 
     def _settle_joints(self, dt: float) -> None:
-        """Trim a resting arm step by step; then report once that it rests, at the end or short."""
+        """Trim an arm at rest step by step; then report once that it has arrived, or not."""
         read = {name: self._watch.state(name) for name in self._names}
         states = {name: state for name, state in read.items() if state is not None}
         still = all(abs(s.velocity_ticks_s) < STILL_TICKS_S for s in states.values())
@@ -273,16 +276,17 @@ class TrajectoryFollower:
         self._still_s = self._still_s + dt if still else 0.0
         if self._settled or not still:
             return
-        if self._trims:
+        if self._trimming:
             if self._still_s < self._config.follower.trim_pause_s:
                 return
             wanted = self._wanted_ticks()
             if self._trim.take_step(wanted, states):
                 self._still_s = 0.0
                 return
-            self._trims, self._untrimmed = False, self._trim.describe_failure(wanted, states)
+            self._trimming = False
+            self._trim_failure = self._trim.describe_failure(wanted, states)
         assert self._set is not None
-        short = self._untrimmed or self._find_away(self._set, np.ones(len(self._set), bool))
+        short = self._trim_failure or self._find_away(self._set, np.ones(len(self._set), bool))
         if not short:
             self._note_event(EventKind.ARRIVED, "at rest at the end of the trajectory")
         elif self._still_s > self._config.follower.stall_time_s:
@@ -294,7 +298,12 @@ class TrajectoryFollower:
         self._settled = True
 
     def _find_away(self, wanted: Array, among: Array) -> str:
-        """Say which joints of ``among`` (n,) stand away from ``wanted`` (n,), rad and m; or ""."""
+        """Say which joints stand too far from where they should be; empty if none does.
+
+        Args:
+            wanted: (n,) where they should be, rad and m.
+            among: (n,) bool: the joints to look at.
+        """
         far = []
         for name, value in zip(np.array(self._names)[among], wanted[among].tolist(), strict=True):
             state, joint = self._watch.state(name), self._config.joints[name]
@@ -307,7 +316,8 @@ class TrajectoryFollower:
     def _enter_fault(self, findings: list[JointFault]) -> dict[int, int]:
         """Enter the fault state; return goals that hold the present positions, ticks by servo id.
 
-        A servo without a trusted reading in this step is left out. The caller holds it later.
+        A servo without a trusted reading in this step is left out. The caller holds it when its
+        reading is trusted again.
         """
         self.state = FollowerState.FAULT
         for finding in findings:
@@ -318,10 +328,10 @@ class TrajectoryFollower:
         return goals
 
     def find_holding_goals(self) -> dict[int, int]:
-        """Return goals, ticks by servo id, that hold all joints with a trusted reading just now.
+        """Return goals, ticks by servo id, that hold the joints trusted in the last step.
 
-        A joint beyond its limits is held at the limit if it is nearer than `stall_error_ticks`,
-        else where it is.
+        A joint beyond its limits is held at the limit if this is within `stall_error_ticks`, else
+        where it is.
         """
         goals, near = {}, self._config.follower.stall_error_ticks
         for name, joint in self._config.joints.items():
@@ -340,8 +350,11 @@ class TrajectoryFollower:
     def _start_path(self) -> Array:
         """Return the set-point (n,), rad and m, from which a trajectory starts.
 
-        While idle it is the goal that holds each joint; where this is not known, or does not
-        explain where the joint stands, it is the present position.
+        While idle, a joint starts from the goal that holds it if it rests in its droop below that
+        goal (`stands_in_its_droop`), else from its present position.
+
+        Raises:
+            InputError: a joint stands too far beyond its limits.
         """
         if self._set is not None:
             return self._set

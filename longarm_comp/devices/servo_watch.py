@@ -189,8 +189,8 @@ def stands_in_its_droop(
 ) -> bool:
     """Tell whether a driven servo rests away from its goal only because of its load (droop).
 
-    Such a servo would sink if its present position became its goal. A servo that pushes against an
-    obstacle or is still moving is excluded, because its old goal would move it on.
+    Such a servo would sink if its present position became its goal. The answer is no for a servo
+    that pushes against an obstacle or still moves: if it kept its goal, it would move on.
 
     Args:
         goal: present goal of the servo, ticks.

@@ -39,7 +39,10 @@ class TurnCounts:
         self._read_at |= dict.fromkeys(states, now)
 
     def follow(self, now: float, states: Mapping[int, ServoState]) -> None:
-        """Note readings of servos that nothing moves, or that may not follow. Args as `trust`."""
+        """Note readings of servos without a goal to follow, or that may not follow it.
+
+        Args as in `trust`.
+        """
         for joint in self._joints.values():
             i, turn = joint.servo_id, joint.servo.ticks_per_turn
             if i not in states or i not in self.stood:

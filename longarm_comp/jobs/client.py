@@ -131,7 +131,7 @@ class ArmClient(GraphClient):
             DriverStopped: the driver is held, in fault or in emergency stop.
         """
 
-        def driver_hears() -> bool:  # all listeners to commands are matched, not only kinematics
+        def driver_hears() -> bool:  # a driver listens to commands, and every listener is connected
             ends = self.node.get_subscriptions_info_by_topic(self._trajectory.topic_name)
             driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
             return driver and self._trajectory.get_subscription_count() >= len(ends)
@@ -269,7 +269,7 @@ class ArmClient(GraphClient):
     def look(
         self, path: np.ndarray, pace: Pace, start: np.ndarray | None
     ) -> tuple[int, list[np.ndarray]]:
-        """Wait for the end of a path as `arrive`, then collect sightings of the tip.
+        """Wait for the end of a path as `arrive` does, then collect sightings of the tip.
 
         The wait ends early if the marker is lost in all of the first ``2 * pace.sightings`` images.
 

@@ -39,7 +39,7 @@ def robust_weights(distance: np.ndarray) -> np.ndarray:
 
 
 def robust_kabsch(points: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit as `kabsch`, in `ROUNDS` rounds, with `robust_weights` of the round before."""
+    """Fit as `kabsch` does, in `ROUNDS` rounds, each with `robust_weights` of the one before."""
     weights = np.ones(len(points))
     for _ in range(ROUNDS):
         rotation, offset = kabsch(points, seen, weights)

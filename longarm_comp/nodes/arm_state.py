@@ -155,9 +155,13 @@ class ArmState:
     def take_in(self, source: str, columns: dict[str, float], at_s: float | None = None) -> None:
         """Keep circumstances of a source that were received, or estimated at ``at_s`` (monotonic).
 
-        ``columns`` has the values by name of a session's column. Values that are not finite are
-        dropped. An impossible value is noted with its fault, and replaces the earlier reading: the
-        message shows that this reading is out of date.
+        Values that are not finite are dropped. An impossible value is kept with the reason why it
+        is impossible. It replaces the earlier reading, because that is out of date by now.
+
+        Args:
+            source: where the values come from, such as ``temperature``.
+            columns: values by name of a session's column.
+            at_s: time of the reading, s, monotonic clock; None: now.
         """
         if not all(math.isfinite(value) for value in columns.values()):
             self.node.tally.count_dropped(source, f"{source}: {columns} is not finite")

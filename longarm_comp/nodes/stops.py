@@ -188,7 +188,7 @@ class Stops:
     def owe_off(self, owed: bool) -> None:
         """Set whether torque must be switched off while no arm is configured.
 
-        If so, it is sent now, and repeatedly until every servo has confirmed it.
+        If so, torque off is sent now, and repeatedly until every servo has confirmed it.
         """
         self._owed = owed
         self._pay()

@@ -149,7 +149,7 @@ def _collect_rows(diagnosis: Diagnosis, units: Sequence[str]) -> SeenRows:
 
 
 def _find_guilty(diagnosis: Diagnosis, rows: SeenRows) -> tuple[str, ...]:
-    """Return up to four inputs: those of the findings, then those that the structure depends on."""
+    """Return up to four inputs: those of the findings, then those of the structure that is left."""
     commanded = list(diagnosis.arm.commanded)
     names: list[str] = []
 

@@ -53,7 +53,7 @@ class _Row(NamedTuple):
 class Rows:
     """The rows of a recording, made command by command from a message buffer.
 
-    Each row is made as soon as nothing that is read later can change it.
+    Each row is made as soon as no later message can change it.
     """
 
     def __init__(self, buffer: MessageBuffer) -> None:
@@ -67,7 +67,7 @@ class Rows:
         self._restless: Counter[int] = Counter()  # by joint, commands at whose end it still moved
 
     def close(self, *, everything: bool = False) -> None:
-        """Make the rows of the commands that no later message can change.
+        """Make those rows that no later message can change.
 
         A sighting may be recorded up to `CLOCKS_APART` s after it was taken.
 
@@ -258,7 +258,7 @@ def read_bag(
 
 
 def read_seen(path: str | Path, arm: Arm, namespace: str | None = None) -> tuple[Session, str]:
-    """Read a session as `read_bag`, but with the tip as `kinematics` placed it (`tip_seen`).
+    """Read a session as `read_bag` does, but with the tip as `kinematics` placed it (`tip_seen`).
 
     Returns:
         The session, and the frame of its tips: that of the base, if the place of the tracker was
@@ -361,7 +361,7 @@ def raw_messages(reader: Reader, chosen: list[Connection]) -> Iterator[Message]:
 
 
 def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
-    """Return a session, as `read_bag`, from messages of one namespace that are not in a bag yet."""
+    """Return a session from messages of one namespace that are not in a bag yet."""
     known = [m for m in messages if TYPES.get(last_part(m[0])) == m[1]]
     begin = min((received for _, _, received, _ in known), default=0)
     return _rows(known, MessageBuffer(arm, "recording", begin, every_command=True)).session()

@@ -98,7 +98,7 @@ class Table:
         return not set(columns).isdisjoint(self.cells)
 
     def lengths(self, columns: Sequence[str], unit: str = "m", blanks: bool = False) -> np.ndarray:
-        """Return (N, k) coordinates or joints, as `block`; none may be larger than `FARTHEST`."""
+        """Return (N, k) coordinates or joints as `block` does; none may exceed `FARTHEST`."""
         unit = f"{unit}, up to {FARTHEST:g}"
         return self.block(columns, unit, blanks, lambda v: abs(v) <= FARTHEST)
 
@@ -178,7 +178,7 @@ def write_table(path: str | Path, header: Sequence[str], rows: Iterable[Sequence
 
 
 def fill_table(path: Path, header: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
-    """Write a CSV file as `write_table`, but not atomically: an error leaves a partial file."""
+    """Write a CSV file as `write_table` does, but not atomically: an error leaves a part of it."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")  # None is blank; NaN, unequal to itself, too
         writer.writerow(header)

@@ -240,7 +240,7 @@ class Ringing:
         return modes.omega * (-self._damping + 1j * np.sqrt(1.0 - self._damping**2))
 
     def _find_modes(self, q: Array, speed: Array) -> _Vibration:
-        """Return the modes near a posture; if they are new, the vibration goes on in them."""
+        """Return the modes near a posture; new ones take over the present vibration."""
         span = self._true.arm.upper - self._true.arm.lower
         # of a joint's range: so far the modes are those of the posture before
         if self._about is not None and (np.abs(q - self._about[0]) <= 0.02 * span).all():

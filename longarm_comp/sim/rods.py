@@ -56,12 +56,12 @@ class Walker:
 
     @property
     def moment(self) -> Array:
-        """Moment of all forces beyond about this section, (3, B, N) N m."""
+        """Moment about this section of all forces beyond it, (3, B, N) N m."""
         return self._v[:, _MOMENT]
 
     @property
     def force(self) -> Array:
-        """Force of everything beyond, (3, B, N), N: weight and applied forces."""
+        """Force of everything beyond this section, (3, B, N), N: weight and applied forces."""
         return self._add_force(self._v, self.mass)
 
     def _add_force(self, v: Array, mass: Array | float) -> Array:

@@ -103,7 +103,7 @@ class PageState:
         return _find_silence(self.heard, now, _SILENT_S)
 
     def unread_s(self, now: float) -> float:
-        """Return for how long (s) no joint readings have come, as `silent_s`."""
+        """Return for how long (s) no joint readings have come; 0 and infinite as in `silent_s`."""
         return _find_silence(self.read, now, _SILENT_S)
 
     def is_old(self, now: float) -> bool:

@@ -81,8 +81,9 @@ def apply(
 
     Raises:
         InputError: the diagnosis is missing or incomplete; it is of another arm, or was not made
-            with the model in use; the session is missing or another one; the predictor is of a
-            network of others, and one is to be trained; another process changes the model.
+            with the model in use; the session is missing or another one; a predictor is to be
+            trained, and the one in use comes from outside the package; another process changes the
+            model.
         JobError: the diagnosis adds nothing.
     """
     with alone_in(follow_link(model).parent):  # also while a network is trained
@@ -145,10 +146,11 @@ def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
     return f"{report.summary} {said}"
 
 
-def _mean_errors(
-    report: DiagnosisReport,
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return the mean held-out error, mm, before and after, as commanded and as seen.
+Pair = tuple[float, float]
+
+
+def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
+    """Return two pairs of mean held-out errors, before and after, mm: as commanded, and as seen.
 
     A pair is None where it was not recorded.
     """

@@ -6,9 +6,10 @@ import math
 from typing import Any
 
 import pytest
-from follower_rig import CONFIG, TURN, Rig, servo_state
+from follower_rig import CONFIG, TURN, Rig, kinds, servo_state
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.devices.follower_report import EventKind
 from longarm_comp.devices.joint_path import JointTrajectory, TrajectoryPoint
 from longarm_comp.devices.servo_follower import TrajectoryFollower
 
@@ -92,7 +93,9 @@ def test_an_order_beyond_a_limit_is_refused_not_clipped(rig: Rig, name: str, end
         with pytest.raises(InputError, match="position: "):
             joint.to_ticks(limit + ticks * outward)
     rig.send((1.0, {name: limit + 0.45 * outward}))
-    goals = rig.run(3.0)[-1].goals
+    steps = rig.run(3.0)
+    goals = steps[-1].goals
+    assert kinds(steps) == [EventKind.STARTED, EventKind.ARRIVED]
     assert goals is not None and goals[joint.servo_id] in joint.tick_limits
     assert joint.to_si(goals[joint.servo_id]) == pytest.approx(limit, abs=joint.si_per_tick)
 

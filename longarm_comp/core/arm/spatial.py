@@ -168,7 +168,7 @@ def _small(t: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _any(t: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """Return ``a = sin x / x``, and b and c as `_small`, for any angle x but 0; ``t = x^2``."""
+    """Return ``a = sin x / x``, and the b and c of `_small`, for ``t = x^2``, x not 0."""
     angle = sqrt(t)
     a = sin(angle) / angle
     half = sin(0.5 * angle) / angle

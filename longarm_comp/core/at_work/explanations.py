@@ -43,7 +43,7 @@ wrong; at the latest 15, when the jump is known four times better than after one
 
 @dataclass(frozen=True)
 class _PastChange:
-    """A change of an effect that is certain in one explanation."""
+    """A change of an effect, if one explanation takes this change for certain."""
 
     key: Key
     where: str

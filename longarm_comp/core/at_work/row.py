@@ -21,7 +21,7 @@ class Row:
     structure: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
     """(3, 3) m^2, covariance of the error that all visits to this pose have in common."""
     common: np.ndarray = field(default_factory=lambda: np.zeros((3, 0)))
-    """(3, r) m, errors that all sightings share, each per its standard deviation."""
+    """(3, r) m, errors that all sightings share, each for one standard deviation of its cause."""
     anew: tuple[int, ...] = ()  # those of the r that begin anew with this sighting
     place: int = -1  # number of this pose among those whose own error is estimated; -1: none
     is_new: bool = False  # whether the error of this pose has not been estimated before

@@ -52,7 +52,7 @@ def solve_products(
     lower: np.ndarray | None = None,
     upper: np.ndarray | None = None,
 ) -> Posterior:
-    """Solve as `solve_posterior`, given the products ``A'A`` (p, p) and ``A'y`` (p,)."""
+    """Solve as `solve_posterior` does, given the products ``A'A`` (p, p) and ``A'y`` (p,)."""
     p, factor = len(gram), _factor_with_prior(gram)
     right = solve_triangular(factor, moment, lower=True)
     u = solve_triangular(factor.T, right, lower=False)
@@ -137,7 +137,7 @@ class Marginal:
         return self.y - self.a @ self._coefficients
 
     def project(self, b: np.ndarray) -> np.ndarray:
-        """Return P b (m, k) of columns b: the part that the present columns hardly explain."""
+        """Return P b (m, k): what the present columns, with their priors, leave of columns b."""
         return b - self.a @ self._solve(self.a.T @ b)
 
     def project_products(self, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

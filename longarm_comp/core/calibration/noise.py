@@ -246,7 +246,7 @@ def _share_by_statement(fit: ModelFit) -> SensorShare:
 
 
 def number_sightings(rows: Session) -> np.ndarray:
-    """Return numbers (N, k) of each row's pose and text columns (`PLACES`); equal for repeats."""
+    """Number each row's pose and texts in `PLACES`, (N, k): rows that repeat one sighting agree."""
     texts = [np.unique(rows.labels[k], return_inverse=True)[1] for k in PLACES if k in rows.labels]
     return np.column_stack([rows.pose_id, *texts])
 

@@ -53,11 +53,11 @@ def place_frames(model: Model, session: Session) -> Model:
 
 
 class SeenModel(NamedTuple):
-    """A model, and how it was placed to show its errors.
+    """A model, ready to be compared with the rows of a session.
 
     Attributes:
-        elsewhere: whether the rows show the arm at another place.
-        placed: whether the model was therefore placed by the rows.
+        elsewhere: whether the rows show the arm at another place than the given model.
+        placed: whether this model was moved to that place.
     """
 
     model: Model

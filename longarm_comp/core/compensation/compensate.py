@@ -335,10 +335,12 @@ class SolvedTargets:
         ]
 
     def _search(self, rows: list[int], to: np.ndarray, starts: int) -> dict[int, ik.Solution]:
-        """Find and store joints that bring the physics' tip to some of N targets ``to``.
+        """Find and store joints for some of N targets; return the failed searches by target number.
 
-        Returns:
-            The failed searches, by the target's number.
+        Args:
+            rows: numbers of the targets to search for.
+            to: (N, 3) or (N, 4, 4): where the tip must be by the physical model.
+            starts: largest number of starts of each search.
         """
         if not rows:
             return {}

@@ -194,7 +194,7 @@ _UNITS = (("centimetres", 1e2), ("millimetres", 1e3))
 
 
 def guess_unit(position: np.ndarray, base: np.ndarray, reach_m: float) -> str:
-    """Return a question whether a target far beyond reach is in another unit; else "".
+    """Ask whether a target far beyond reach is in another unit; return "" if it is not so far.
 
     Args:
         position, base: (3,) m, of the target and of the arm's base.

@@ -36,11 +36,13 @@ _Visited = tuple[tuple[int, np.ndarray], ...]
 
 @dataclass(frozen=True, eq=False)
 class SightingError:
-    """The error of one sighting, besides that of the model's parameters."""
+    """The error of one sighting, without the error of the model's parameters."""
 
-    noise: np.ndarray  # (3, 3) m^2, covariance of what is new at each sighting
-    structure: np.ndarray  # (3, 3) m^2, covariance of what is alike at each visit to a pose
-    common: np.ndarray  # (3, COMMON) m, what all sightings share, each per its standard deviation
+    noise: np.ndarray  # (3, 3) m^2, covariance of the part that is independent at each sighting
+    structure: np.ndarray  # (3, 3) m^2, of the part that all visits to these joints share
+    common: np.ndarray
+    """(3, COMMON) m, the parts that all sightings share, each for one standard deviation of its
+    cause."""
 
     @property
     def covariance(self) -> np.ndarray:
@@ -64,8 +66,8 @@ def error_of_sighting(
         q: (n,) commanded joints, rad and m.
         context: circumstances, with the history of the joints.
         variance: (3,) m^2, variance of the measurement along each axis.
-        learned: (3,) m, sigma of the error that a predictor explains. It takes the place of the
-            structure, and counts the parameters' error once more, which a predictor corrects too.
+        learned: (3,) m, sigma of the error that a predictor corrects. It replaces the structure. It
+            contains the parameters' error too, so this is counted twice.
     """
     here = q[None]
     (unknown,), _ = unknown_history(model, here, context)
@@ -98,16 +100,16 @@ def is_other_payload(before_kg: float, context: Context) -> bool:
 
 
 def visit(visited: _Visited, pose: np.ndarray) -> tuple[int, bool, _Visited]:
-    """Find the number of a pose among those that are followed.
+    """Find the number of a pose in the list of visited poses.
 
     If all numbers are in use, a new pose takes that of the pose visited longest ago.
 
     Args:
-        visited: number and joints of each pose that is followed, the last visited one last.
+        visited: number and joints of each pose in the list, the last visited one last.
         pose: (n,) joints, 0 to 1 over their ranges.
 
     Returns:
-        The number, whether the pose is new, and the poses that are followed now.
+        The number, whether the pose is new, and the new list.
     """
     for known in visited:
         if np.abs(known[1] - pose).max() < ALIKE:

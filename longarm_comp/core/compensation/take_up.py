@@ -80,9 +80,9 @@ class PathLag:
     ) -> History:
         """Find the history of the joints at each of k way-points.
 
-        Only the motion of the joint itself counts for its side, not the play that its command
-        crosses at a reversal. A reversal that is too short to matter at the tip does not count
-        either.  If a joint reverses while it is still near its first position, it counts as
+        The side of a joint changes with the motion of the joint itself, not while its command
+        crosses the play at a reversal. A reversal that is too short to matter at the tip does not
+        change it.  If a joint reverses while it is still near its first position, it counts as
         reversing at once.
 
         Args:

@@ -111,11 +111,11 @@ class RestingTerm(JointTerm):
     """An effect of a joint with play or a deadband, which rests on one side of it.
 
     Attributes:
-        gate: load below which friction decides the side, as a fraction of the arm's typical torque
-            (`typical_loads`), or of a quarter of its weight for a slide; 0: the load always
-            decides. The tried values are above the load on a vertical axis whose base leans by a
-            few mrad, because so small a load would decide by chance.
-        blend: width of the transition between the two, as a fraction of the threshold.
+        gate: threshold: the load below which friction decides the side, as a fraction of the arm's
+            typical torque (`typical_loads`), or for a slide of a quarter of the arm's weight; 0:
+            the load always decides. The tried values are above the load on a vertical axis whose
+            base leans by a few mrad, because so small a load would decide by chance.
+        blend: width of the transition from friction to load, as a fraction of the threshold.
     """
 
     loaded = True

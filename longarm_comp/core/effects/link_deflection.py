@@ -98,7 +98,7 @@ def _cantilever(
     felt: tuple[Vec, Vec, Vec],
     spread: Sequence[tuple[Scalar, Scalar, bool]],
 ) -> Twist:
-    """Compute the twist at the end of an element, as `cantilever`, in the beam's axes.
+    """Compute the twist at the end of an element as `cantilever` does, in the beam's axes.
 
     Args:
         sign, length, inverse: as returned by `_describe_beam`.

@@ -206,7 +206,7 @@ class Recorded(Quantity):
 
     @property
     def plain(self) -> bool:  # type: ignore[override]
-        """True but for the pose number, which causes nothing by itself."""
+        """False only for the pose number, because it causes nothing by itself."""
         return self.column != ORDER
 
     def unit(self, arm: Arm) -> str:

@@ -1,7 +1,7 @@
-"""Finds the length of run-ups of which only the side was recorded; errors may depend on it.
+"""Finds the length of run-ups if a session holds only their side; errors may depend on the length.
 
-One length holds for the whole session, and it is no parameter of a fit. So it is found before the
-search, as the length of highest evidence beside all other effects of the library.
+One length holds for the whole session. It is no parameter of a fit, so it is found before the
+search: the length of highest evidence, with all other effects of the library in the model.
 """
 
 from __future__ import annotations

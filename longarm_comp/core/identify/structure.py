@@ -184,8 +184,8 @@ class Group:
 def list_groups(fit: ModelFit) -> list[Group]:
     """List all groups: functions of each input and products of two joints, at the tip or a joint.
 
-    A motion of the tip is one group for all axes. For functions of one input there is also one
-    group for each axis.
+    At the tip, a group moves it along all axes. For each single input there are more groups, which
+    move it along one axis each.
     """
     session = fit.session
     curves = [smooth_functions(session.q[:, j]) for j in range(session.n)]

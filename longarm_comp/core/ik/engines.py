@@ -226,14 +226,14 @@ def fill_blocks(kernel: Kernel, given: _Given, count: int) -> np.ndarray:
 
 
 def rows_of(blocks: np.ndarray, kernel: Kernel, name: str, count: int) -> np.ndarray:
-    """Return the quantity of a name, (K, k), from blocks as `fill_blocks` makes them."""
+    """Return the quantity called ``name``, (K, k), from blocks that `fill_blocks` made."""
     groups, _, lanes = blocks.shape
     each = blocks[:, kernel.slice(name)].swapaxes(1, 2)
     return each.reshape(groups * lanes, len(kernel.place[name]))[:count]
 
 
 def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np.ndarray:
-    """Return true tip poses as `Model.pose`, in machine code if the model is compiled.
+    """Return true tip poses as `Model.pose` does, in machine code if the model is compiled.
 
     Args:
         q: joints (M, n), rad or m.

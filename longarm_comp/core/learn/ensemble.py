@@ -149,7 +149,7 @@ def train(
 class _Fit:
     """One trained network, in standardised units."""
 
-    units: int  # hidden; 0 of a network of others
+    units: int  # hidden; 0: a foreign network
     weights: Array  # (D,)
     sigma: float
     evidence: float

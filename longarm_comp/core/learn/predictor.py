@@ -88,7 +88,7 @@ class Predictor:
 
     encoding: Encoding
     weights: Array  # (M, D), standardised units
-    hidden: int  # of the largest member; smaller ones have idle units; 0 of a network of others
+    hidden: int  # of the largest member (smaller ones have idle units); 0: a foreign network
     posterior: NDArray[np.float32]  # (r, D) covariance C ~ P'P of the first member, the likeliest
     offset: Array  # (3,) m, subtracted from the residual before scaling
     scale: float  # m, one for the three axes

@@ -49,7 +49,7 @@ def uniform(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
 
 
 def normal(rng: torch.Generator, like: Tensor, *size: int) -> Tensor:
-    """Return normal random numbers of mean 0 and variance 1, as `uniform`."""
+    """Return normal random numbers, mean 0 and variance 1, in the form that `uniform` has."""
     return like.new_empty(size).normal_(generator=rng)
 
 

@@ -88,7 +88,7 @@ class RowDomain:
         return np.linalg.inv(np.linalg.cholesky(self._alike(self.q) + ROUGH * np.eye(count)))
 
     def _alike(self, q: np.ndarray) -> np.ndarray:
-        """Return the correlation (N, R) of the process at joints (N, n) with that at the places."""
+        """Return the correlation (N, R) of the error process between joints (N, n) and `self.q`."""
         x, y = q / (SMOOTH * self.span), self.q / (SMOOTH * self.span)
         apart = (x**2).sum(axis=1)[:, None] + (y**2).sum(axis=1) - 2.0 * x @ y.T
         return np.asarray(np.exp(-0.5 * np.maximum(apart, 0.0)))

@@ -128,7 +128,7 @@ class Uncertainty:
         return cls(whole, scale, information, sigma, framed, read)
 
     def measures(self, plan: Plan, measure: Measure) -> np.ndarray:
-        """Return the derivatives (M, d, p) of what M poses measure by every parameter.
+        """Return the derivatives (M, d, p), by every parameter, of the measurements at M poses.
 
         Measurements are in units of their noise, parameters in units of `scale`.
         """
@@ -334,5 +334,5 @@ def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> l
 
 
 def alternate_sides(n: int) -> np.ndarray:
-    """Return (n,) sides: from below and from above in turn."""
+    """Return (n,) sides of arrival, alternately from below (+1) and from above (-1)."""
     return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)

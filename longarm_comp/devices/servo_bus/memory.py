@@ -62,7 +62,7 @@ class ServoMemory:
     speed_ticks_s: float | None
 
     def describe_jump(self, ticks: float) -> str:
-        """Say why a servo at ``ticks`` would jump when its torque goes on; empty if not."""
+        """Say why a servo at ``ticks`` would jump when its torque goes on; empty if it does not."""
         if self.goals is None or self.goals[0] <= ticks <= self.goals[1]:
             return ""
         return (

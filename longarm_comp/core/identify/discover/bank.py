@@ -101,7 +101,7 @@ class FunctionBank:
         self._several = [g for g in functions.groups if len(g.functions) > 1]
 
     def log_odds_of(self, marginal: Marginal, listed: Sequence[FunctionCandidate]) -> np.ndarray:
-        """Return the (C,) log odds of each candidate alone against none, priors included.
+        """Return the (C,) log odds of adding each candidate against adding none, with priors.
 
         The columns that are in the model already are marginalised.
         """

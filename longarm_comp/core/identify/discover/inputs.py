@@ -193,7 +193,8 @@ def _add_distinct(
 ) -> None:
     """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`FINE`).
 
-    There is no `arm` on the measuring side.
+    Args:
+        arm: the arm; None for a quantity on the measuring side, which needs none.
     """
     span = float(np.ptp(values)) if np.isfinite(values).all() else 0.0
     largest = float(np.abs(values).max(initial=0.0))

@@ -234,14 +234,15 @@ def _compare_rivals(
 def _compare_absence(
     search: ExplanationSearch, state: ExplainedSession
 ) -> tuple[ExplainedSession | None, dict[str, tuple[FoundEffect, float]]]:
-    """Compare each named effect with the best explanation without its name.
+    """Compare the explanation with the best one that lacks a named effect, for each such effect.
 
-    Several functions may explain as much as one named effect, and exchanging one effect for another
-    never finds them. This is not tried for elastic effects, nor if the explanation contains no
-    function without a name.
+    Several functions may explain as much as one named effect, and an exchange of one effect for
+    another never finds them. Elastic effects are not compared. Nothing is compared if all effects
+    of the explanation have names.
 
-    Returns the first better explanation, or None; and for each name the function that would replace
-    it, with the log odds of that explanation.
+    Returns:
+        The first better explanation, or None; and for each name the function that would replace
+        it, with the log odds of the explanation with this function.
     """
     absence: dict[str, tuple[FoundEffect, float]] = {}
     if not any(f.unnamed for f in state.found):

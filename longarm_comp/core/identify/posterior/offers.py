@@ -245,10 +245,12 @@ def _principal_functions(values: np.ndarray) -> np.ndarray:
 
 
 def _undecided_row_columns(fitted: ModelFit, term: Term, tolerance: float) -> np.ndarray:
-    """Return (N, d, k) columns of single rows near a threshold.
+    """Return (N, d, k) columns, each the change of one row's shift by an error of a term's scales.
 
-    A relative error `tolerance` of the form's scales changes their shift by more than this share of
-    the largest shift.
+    Only a row near a threshold has one: its change exceeds `tolerance` times the largest shift.
+
+    Args:
+        tolerance: relative error of the scales.
     """
     columns = FitColumns(fitted)
     largest = np.abs(columns.shift_by([term])).max()

@@ -122,7 +122,7 @@ class Resampling:
     def _in_its_place(
         self, found: FoundEffect, effects: Sequence[FoundEffect]
     ) -> FoundEffect | None:
-        """Return the one of `effects` that moves the rows as `found` does, or None.
+        """Return the effect in `effects` that moves the rows as `found` does, or None.
 
         Effects that may have its name come first, and are taken together: one sample may find them
         joint by joint, and another one at all joints.
