@@ -96,6 +96,13 @@ def test_a_reading_that_is_partly_blank_is_called_so(rng: np.random.Generator) -
         measured(3, rng, labels=labels, readings={"ray": ray})
 
 
+def test_a_reading_is_finite_and_one_of_blanks_alone_is_none(rng: np.random.Generator) -> None:
+    blank = np.full((3, 1), np.nan)
+    assert not measured(3, rng, readings={"read_q1": blank}).readings
+    with pytest.raises(InputError, match=r"row 2, read_q1.*numbers, or all blank"):
+        measured(3, rng, readings={"read_q1": np.array([[0.1], [np.inf], [0.2]])})
+
+
 def test_positions_of_a_table_of_mixed_columns_are_read(rng: np.random.Generator) -> None:
     """Such a table holds Python objects, None where a cell was blank."""
     xyz = np.array([[0.1, 0.2, 0.3], [None, None, None], [0.4, 0.5, 0.6]], dtype=object)
