@@ -247,8 +247,12 @@ class MeasuredRows:
 def freeze(
     where: str, name: str, values: ArrayLike, kind: type, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """Return a read-only view of values; raise `InputError` if they do not have a given shape."""
-    frozen = np.asarray(values, dtype=kind).view()
+    """Return values as a read-only array; raise `InputError` if they do not have a given shape.
+
+    What others may still write to is copied.
+    """
+    held: np.ndarray = np.asarray(values, dtype=kind)
+    frozen = held.copy() if held is values and held.flags.writeable else held.view()
     if frozen.shape != shape:
         raise InputError(where, name, f"shape {frozen.shape}", f"shape {shape}")
     frozen.flags.writeable = False

@@ -84,7 +84,7 @@ class Session(MeasuredRows):
 
     def __post_init__(self) -> None:
         n_rows, n = _joints(self.source, self.q).shape
-        if np.isinf(self.xyz).any():
+        if np.isinf(np.asarray(self.xyz, dtype=float)).any():
             raise self.error("xyz", "not finite", "numbers in m, or NaN")
         shapes: dict[str, tuple[type, tuple[int, ...]]] = {
             "index": (np.int64, (n_rows,)),
@@ -101,7 +101,7 @@ class Session(MeasuredRows):
             values = getattr(self, name)
             if name in ("legs", "last_way", "told") and not len(values):
                 values = np.zeros(shape)  # unknown
-            if values is not None:
+            if values is not None or name != "sigma":
                 object.__setattr__(self, name, freeze(self.source, name, values, kind, shape))
         for field_name, kind in (("columns", float), ("labels", str)):
             given = getattr(self, field_name).items()

@@ -284,6 +284,7 @@ FAULTS: list[tuple[str, Any, str, str, str]] = [
     ("joints.1.name", "swing", "joints.name", "['swing', 'swing']", "differ"),
     ("joints.4.mimic.joint", "nobody", "joints.4.mimic.joint", "'nobody'", "'swing', 'joint2'"),
     ("joints.4.mimic.joint", 3, "joints.4.mimic.joint", "3", "[1, 2]"),
+    ("sensors", {"bubble": {"kind": "inclinometer", "row": 7}}, "sensors.bubble.row", "7", "0..6"),
     ("tip.frame", 7, "tip.frame", "7", "0..6"),
     ("payload.frame", 9, "payload.frame", "9", "0..6"),
     ("markers.elbow.frame", 9, "markers.elbow.frame", "9", "0..6"),

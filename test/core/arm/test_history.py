@@ -387,3 +387,12 @@ def test_along_a_path_every_way_point_has_the_history_of_a_move_there() -> None:
             np.testing.assert_array_equal(found.last_way[row], now.last_way)
         unknown = history.along(path, None)
         np.testing.assert_array_equal(unknown.legs[0], 0.0)
+
+
+def test_of_two_histories_only_joints_of_one_side_are_known() -> None:
+    one = History.unknown(2).after(np.array([[0.1, 0.1]]), np.zeros(2))
+    other = History.unknown(2).after(np.array([[0.2, -0.2]]), np.zeros(2))
+    common = one.common_with(other)
+    assert common.approach.tolist() == [1.0, 0.0]
+    assert common.legs[:, 0].tolist() == [0.1, 0.0]
+    assert common.last_way.tolist() == [0.1, 0.0]

@@ -251,3 +251,18 @@ def test_outliers_are_counted(session: Session) -> None:
     xyz[[4, 44]] += [0.2, 0, 0]
     (finding,) = admit(with_xyz(session, xyz), ARM).findings
     assert finding.message.startswith("2 gross outliers (2.5%), the worst 200 mm")
+
+
+@pytest.mark.parametrize(
+    ("blank", "rows", "words"),
+    [(48, 80, "incl_2_x: left out, 60% blank"), (32, 48, "incl_2_x: 32 rows left out")],
+)
+def test_an_inclinometer_that_was_mostly_not_read_is_left_out_not_the_rows(
+    blank: int, rows: int, words: str, session: Session
+) -> None:
+    tilt = np.where(np.arange(80) < blank, np.nan, np.linspace(0.0, 0.1, 80))
+    given = dataclasses.replace(session, columns={**session.columns, "incl_2_x": tilt})
+    admitted = admit(given, ARM)
+    assert len(admitted.session) == rows
+    assert ("incl_2_x" in admitted.session.columns) == (rows < 80)
+    assert any(text.startswith(words) for text in texts(admitted))

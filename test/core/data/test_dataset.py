@@ -71,10 +71,22 @@ def test_arrays_cannot_be_changed(rng: np.random.Generator) -> None:
 def test_the_arrays_that_a_session_is_made_of_stay_the_callers(rng: np.random.Generator) -> None:
     warmth, distance = np.full(3, 20.0), np.ones((3, 1))
     labels = {"anchor": np.array(["p", "p", "p"])}
-    readings = {"distance": distance}
-    measured(3, rng, columns={"temperature_c": warmth}, labels=labels, readings=readings)
-    for values in (warmth, distance, labels["anchor"]):
-        assert values.flags.writeable
+    readings, q = {"distance": distance}, rng.normal(size=(3, 2))
+    session = Session.record(
+        q,
+        np.zeros((3, 3)),
+        columns={"temperature_c": warmth},
+        labels=labels,
+        readings=readings,
+    )
+    before = [session.q.copy(), session.columns["temperature_c"].copy()]
+    for values in (q, warmth, distance):
+        values += 1.0
+    labels["anchor"][:] = "r"
+    assert np.array_equal(session.q, before[0])
+    assert np.array_equal(session.columns["temperature_c"], before[1])
+    assert np.array_equal(session.readings["distance"], np.ones((3, 1)))
+    assert session.labels["anchor"].tolist() == ["p", "p", "p"]
 
 
 def test_a_reading_that_is_partly_blank_is_called_so(rng: np.random.Generator) -> None:
@@ -84,12 +96,30 @@ def test_a_reading_that_is_partly_blank_is_called_so(rng: np.random.Generator) -
         measured(3, rng, labels=labels, readings={"ray": ray})
 
 
+def test_a_reading_is_finite_and_one_of_blanks_alone_is_none(rng: np.random.Generator) -> None:
+    blank = np.full((3, 1), np.nan)
+    assert not measured(3, rng, readings={"read_q1": blank}).readings
+    with pytest.raises(InputError, match=r"row 2, read_q1.*numbers, or all blank"):
+        measured(3, rng, readings={"read_q1": np.array([[0.1], [np.inf], [0.2]])})
+
+
+def test_positions_of_a_table_of_mixed_columns_are_read(rng: np.random.Generator) -> None:
+    """Such a table holds Python objects, None where a cell was blank."""
+    xyz = np.array([[0.1, 0.2, 0.3], [None, None, None], [0.4, 0.5, 0.6]], dtype=object)
+    session = Session.record(rng.normal(size=(3, 2)), xyz)
+    assert session.has_position.tolist() == [True, False, True]
+    xyz[2, 0] = np.inf
+    with pytest.raises(InputError, match="numbers in m, or NaN"):
+        Session.record(rng.normal(size=(3, 2)), xyz)
+
+
 @pytest.mark.parametrize(
     ("name", "value"),
     [
         ("q", np.full((3, 4), np.nan)),
         ("xyz", np.full((3, 3), np.inf)),
         ("xyz", np.zeros((2, 3))),
+        ("xyz", None),
         ("index", np.arange(2)),
         ("columns", {"t_s": np.array([0.0, np.nan, 1.0])}),
     ],
