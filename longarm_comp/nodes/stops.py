@@ -226,7 +226,8 @@ class Stops:
         stopped = arm is not None and arm.follower.state in states
         if not (stopped or self._latch.standing.keys() & ends):
             return
-        if arm is not None and arm.doubt and Stop.FAULT in ends:
+        asks = arm is not None and active and not arm.powered  # `ServoArm.power` then refuses it
+        if arm is not None and arm.doubt and Stop.FAULT in ends and not asks:
             raise JobError(f"{arm.doubt}; then configure the driver again and reset it")
         with self._latch.lift_stops(*ends):
             if arm is None:
