@@ -98,6 +98,7 @@ class ServoArm:
         self._speeds: dict[int, float] = {}
         self._counts = TurnCounts(config)
         self._now = math.nan  # when the last cycle began
+        self._moved = ""  # a joint that was moved while the port was lost, and may have lost count
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # whether torque off is due, and not every servo confirmed it
@@ -163,17 +164,13 @@ class ServoArm:
 
     def _check_unmoved(self, bus: SerialServoBus) -> None:
         """Refuse an arm that does not stand where it was held when the port was lost."""
-        for servo_id, state in bus.read(self._ids).items():
-            stood = self._counts.stood[servo_id]
-            moved = abs(state.position_ticks - stood)
-            if moved > self.config.follower.lost_error_ticks:
-                raise JobError(
-                    "this port leads to another arm, or the arm was moved: configure the driver "
-                    "again",
-                    servo_id=servo_id,
-                    reads=state.position_ticks,
-                    stood=stood,
-                )
+        why = "this port leads to another arm, or the arm was moved: configure the driver again"
+        states, self._moved = bus.read(self._ids), ""
+        for name, joint in self.config.joints.items():
+            at, stood = states[joint.servo_id].position_ticks, self._counts.stood[joint.servo_id]
+            if abs(at - stood) > self.config.follower.lost_error_ticks:
+                self._moved = "" if joint.absolute else name
+                raise JobError(why, servo_id=joint.servo_id, reads=at, stood=stood)
 
     def _set_turns(self, bus: SerialServoBus) -> None:
         """Set the servos permanently for one turn or many as configured; never a driven one."""
@@ -251,6 +248,12 @@ class ServoArm:
         if self.powered:
             off = {i for i, on in driven.items() if not on}
             self._counts.lose(i for i in off if not states[i].error_flags)
+
+    @property
+    def doubt(self) -> str:
+        """Why the arm may not stand where it reads (a new `ServoArm` could not know it); or ""."""
+        names = ", ".join(filter(None, (*self._counts.doubtful, self._moved)))
+        return f"{names} may have lost count of servo turns: see where it stands" if names else ""
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory (`TrajectoryFollower.accept`); JobError also while torque is off."""

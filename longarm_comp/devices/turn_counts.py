@@ -59,13 +59,18 @@ class TurnCounts:
         """Note servos that may have lost their power under torque."""
         self._lost.update(ids)
 
+    @property
+    def doubtful(self) -> list[str]:
+        """The joints that may stand whole turns of their servo from where they read."""
+        in_doubt = {i for i, turns in self._jumps.items() if turns} | self._lost
+        return [n for n, j in self._joints.items() if not j.absolute and j.servo_id in in_doubt]
+
     def check(self) -> None:
-        """Raise JobError if a joint may stand whole turns of its servo from where it reads."""
-        for name, joint in self._joints.items():
-            i = joint.servo_id
-            if not joint.absolute and (self._jumps[i] or i in self._lost):
-                raise JobError(
-                    f"{name} may have lost count of its servo's turns: see whether it stands where "
-                    "it says; then configure the driver again, which believes it",
-                    reads=f"{joint.to_si(self.stood[i]):.4g} {joint.unit}",
-                )
+        """Raise JobError if a joint is doubtful."""
+        for name in self.doubtful:
+            joint = self._joints[name]
+            raise JobError(
+                f"{name} may have lost count of its servo's turns: see whether it stands where "
+                "it says; then configure the driver again and reset it, which believes it",
+                reads=f"{joint.to_si(self.stood[joint.servo_id]):.4g} {joint.unit}",
+            )

@@ -143,8 +143,7 @@ class Attendant:
     def hear_stop(self) -> str:
         """Return the driver's description of the stop in force; empty if none is."""
         driver = self._hear_driver()
-        asked = driver.state in (DriverState.ESTOP, DriverState.HOLDING)
-        return str(driver.message).partition(";")[0] if asked else ""
+        return str(driver.message).partition(";")[0] if driver.state in STOPPED else ""
 
     def let_go(self) -> tuple[str, str]:
         """Switch the torque off until `take_back`; JobError if the arm is stopped already.

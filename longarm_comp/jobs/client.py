@@ -9,7 +9,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
+from rclpy.duration import Duration
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.history import SAME_POSE
@@ -17,7 +19,7 @@ from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
-from longarm_comp.jobs.graph_client import GraphClient, count_drivers
+from longarm_comp.jobs.graph_client import GraphClient, Interrupted, count_drivers
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, told_ns
 from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
@@ -97,6 +99,7 @@ class ArmClient(GraphClient):
         """(time ns when it was taken, tip (3,) m or NaN), newest last."""
         self.seen_in = ""  # the frame of the last one
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(self.node)
+        self._withdrawn = graph.WITHDRAWN.publisher(self.node)
         graph.JOINT_STATES.subscription(self.node, self._on_joints)
         self._tips = tips
         tips.subscription(self.node, self._on_tip)
@@ -267,18 +270,25 @@ class ArmClient(GraphClient):
         return f"{said}: servos that give way need --within {1.5 * gap[k]:.1g}"
 
     def look(
-        self, path: np.ndarray, pace: Pace, start: np.ndarray | None
+        self, path: np.ndarray, pace: Pace, start: np.ndarray | None, order: str = ""
     ) -> tuple[int, list[np.ndarray]]:
         """Wait for the end of a path as `arrive` does, then collect sightings of the tip.
 
         The wait ends early if the marker is lost in all of the first ``2 * pace.sightings`` images.
+        If `stop` ends the wait for the arm, this package's driver is asked to stop it, where it
+        still follows ``order``, an id; empty: what `send` sent last.
 
         Returns:
             The time (ns) from which sightings count; and the sightings (3,), m, of the marker.
         """
-        self.spin(0.05)  # the driver has taken it up when its joints move
-        # A sighting counts if it was taken 50 ms after the joints came to rest
-        after_ns = self.arrive(path, pace, start) + 50_000_000
+        try:
+            self.spin(0.05)  # the driver has taken it up when its joints move
+            # A sighting counts if it was taken 50 ms after the joints came to rest
+            after_ns = self.arrive(path, pace, start) + 50_000_000
+        except Interrupted:
+            self._withdrawn.publish(String(data=order or self._sent))
+            self._withdrawn.wait_for_all_acked(Duration(seconds=1.0))
+            raise
         seen: list[np.ndarray] = []
 
         def over() -> bool:

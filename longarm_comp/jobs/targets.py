@@ -158,6 +158,7 @@ class TargetRunner:
     ) -> tuple[np.ndarray, np.ndarray, int]:
         """Drive to one target; return the tip as seen and as it is (NaN if unknown), the status."""
         client = self._client
+        client.driver_takes()  # a stop ends the job, whoever releases it later
         start = client.joints
         answer = self.ask(target, method, execute=True)
         seen = true = np.full(3, np.nan)
@@ -165,7 +166,7 @@ class TargetRunner:
             return seen, true, int(answer.status)
         stops = (answer.run_up, answer.command) if answer.run_up.name else (answer.command,)
         path = np.array([joints_of(stop, client.arm, "compensate") for stop in stops])
-        rest, looks = client.look(path, self._pace, start)
+        rest, looks = client.look(path, self._pace, start, answer.id)
         if looks:
             seen = np.mean(looks, axis=0)
         if self._witness is not None:

@@ -267,6 +267,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
             self._on_event(event)
+        self._stops.keep_doubt(arm.doubt)
 
     def _on_event(self, event: Event) -> None:
         why = f"{event.kind.value}: {event.message}"

@@ -146,6 +146,7 @@ class _SimulatedArm(ArmNode):
         for name, take in self._live.items():
             take(p[name])
         self.add_on_set_parameters_callback(self._on_set)
+        self.add_post_set_parameters_callback(self._take_live)
         self._started = time.monotonic()
         self._frames = self._late = 0
         self._worker = self.worker(1)
@@ -190,13 +191,20 @@ class _SimulatedArm(ArmNode):
         self._covered = _check_names("covered", text, SIDES)
 
     def _on_set(self, parameters: list[Parameter]) -> SetParametersResult:
+        """Try values, and put the old ones back: others are set with them and may be refused."""
+        before = [self.get_parameter(parameter.name) for parameter in parameters]
         try:
-            for parameter in parameters:
-                if parameter.name in self._live:
-                    self._live[parameter.name](parameter.value)
+            self._take_live(parameters)
         except InputError as error:
             return SetParametersResult(successful=False, reason=str(error))
+        finally:
+            self._take_live(before)
         return SetParametersResult(successful=True)
+
+    def _take_live(self, parameters: list[Parameter]) -> None:
+        for parameter in parameters:
+            if parameter.name in self._live:
+                self._live[parameter.name](parameter.value)
 
     @property
     def _t_s(self) -> float:

@@ -168,6 +168,12 @@ class Stops:
             self._latch.ask(Stop.FAULT, what)
             self._latch.keep()
 
+    def keep_doubt(self, doubt: str) -> None:
+        """Keep as a fault why the arm may not stand where it reads; empty: no reason."""
+        if doubt not in self._latch.standing.get(Stop.FAULT, ""):
+            self._latch.ask(Stop.FAULT, doubt)
+            self._latch.keep()
+
     def let_go(self) -> None:
         """Switch torque off under an emergency stop, also if the driver is not configured."""
         if not self.estop:
@@ -214,17 +220,22 @@ class Stops:
         """End the given stops, and the state of the arm if it is one of ``states``.
 
         Torque then goes on if the driver is active and no other stop is in force. Under a hold that
-        remains, it goes on only if it was on before the emergency stop.
+        remains, it goes on only if it was on before the emergency stop; under a fault, not at all.
         """
         arm, active = self._site.arm, self._site.active
         stopped = arm is not None and arm.follower.state in states
         if not (stopped or self._latch.standing.keys() & ends):
             return
+        asks = arm is not None and active and not arm.powered  # `ServoArm.power` then refuses it
+        if arm is not None and arm.doubt and Stop.FAULT in ends and not asks:
+            raise JobError(f"{arm.doubt}; then configure the driver again and reset it")
         with self._latch.lift_stops(*ends):
             if arm is None:
                 return
+            left = set(self._latch.standing)
             if stopped:
-                arm.release(time.monotonic(), on=active and (self._was_on or not self.standing))
+                on = active and (not left or (self._was_on and left == {Stop.HOLD}))
+                arm.release(time.monotonic(), on=on)
             elif active and not (self.standing or arm.powered):
                 arm.power(True)
 

@@ -8,7 +8,7 @@ that it refuses.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import fields, replace
 from functools import partial
@@ -19,6 +19,7 @@ from action_msgs.msg import GoalStatus
 from rclpy.action import ActionClient
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.task import Future
 from trajectory_msgs.msg import JointTrajectory
 
 from longarm_comp.core.arm.history import History
@@ -201,28 +202,29 @@ class _TrajectoryCompensator(ArmNode):
         out.trajectory = trajectory_message(
             self._arm, path, made.timed.times[1:], self._stamps.next(), made.timed.velocities[1:]
         )
-        sent = await self._out.send_goal_async(
-            out, lambda said: goal.publish_feedback(said.feedback)
-        )
+        there = self._controllers()
+        sending = self._out.send_goal_async(out, lambda said: goal.publish_feedback(said.feedback))
+        if not await self._hear(sending, there):
+            sending.add_done_callback(_cancel_accepted)
+            return self._give_up(goal)
+        sent = sending.result()
         if not sent.accepted:
             why = f"{self._controller} does not accept the goal"
             self.tally.count("refused", why)
             return abort_goal(goal, graph.FOLLOW.type.Result.INVALID_GOAL, why)
         if not self._driver.acknowledged:
             self._driver.note_motion(path, made.timed.joints[0])
-        ended, asked, missed = sent.get_result_async(), False, 0
-        while not ended.done():
-            missed = 0 if self._out.server_is_ready() else missed + 1
-            gone = missed > _GONE_TICKS
-            if (goal.is_cancel_requested or gone) and not asked:
+        ended, asked = sent.get_result_async(), False
+
+        def pass_cancel_on() -> None:
+            nonlocal asked
+            if goal.is_cancel_requested and not asked:
                 asked = True
                 sent.cancel_goal_async()
-            if gone:
-                why = f"{self._controller} is gone, and did not say what became of the path"
-                self._driver.forget_history()
-                self.tally.count("not followed", why)
-                return abort_goal(goal, graph.FOLLOW.type.Result.PATH_TOLERANCE_VIOLATED, why)
-            await self._ticks.next()
+
+        if not await self._hear(ended, there, pass_cancel_on):
+            sent.cancel_goal_async()
+            return self._give_up(goal)
         answer = ended.result()
         if answer.status == GoalStatus.STATUS_SUCCEEDED:
             self.tally.count("followed", "")
@@ -235,6 +237,34 @@ class _TrajectoryCompensator(ArmNode):
             cancelled = answer.status == GoalStatus.STATUS_CANCELED and goal.is_cancel_requested
             (goal.canceled if cancelled else goal.abort)()
         return answer.result
+
+    async def _hear(
+        self, answer: Future, there: set[bytes], look: Callable[[], None] = lambda: None
+    ) -> bool:
+        """Wait for an answer of the controller; return False if it is gone before.
+
+        ``there``: `_controllers` when it was asked. Another one that is there now, such as a
+        restarted one, does not answer. ``look`` is called from time to time.
+        """
+        missed = 0
+        while not answer.done():
+            look()
+            missed = 0 if there & self._controllers() else missed + 1
+            if missed > _GONE_TICKS:
+                return False
+            await self._ticks.next()
+        return True
+
+    def _controllers(self) -> set[bytes]:
+        """Return an id of each controller that offers the action now."""
+        status = f"{self.resolve_topic_name(self._controller)}/_action/status"
+        return {bytes(end.endpoint_gid) for end in self.get_publishers_info_by_topic(status)}
+
+    def _give_up(self, goal: Any) -> Any:
+        why = f"{self._controller} is gone, and did not say what became of the path"
+        self._driver.forget_history()
+        self.tally.count("not followed", why)
+        return abort_goal(goal, graph.FOLLOW.type.Result.PATH_TOLERANCE_VIOLATED, why)
 
     def _compensate_request(
         self, request: Any, stood: np.ndarray
@@ -321,6 +351,12 @@ class _TrajectoryCompensator(ArmNode):
         if self._state.doubt or not self._ready:
             return Report(WARN, self._state.doubt or "getting ready", facts)
         return Report(OK, "following" if self._following else "ready", facts)
+
+
+def _cancel_accepted(sending: Future) -> None:
+    """Cancel a goal that was accepted after it was given up."""
+    if sending.result().accepted:
+        sending.result().cancel_goal_async()
 
 
 main = program(_TrajectoryCompensator)

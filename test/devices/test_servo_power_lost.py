@@ -97,10 +97,12 @@ def test_another_arm_on_the_port_is_sent_nothing_until_the_driver_is_configured_
     _comes_back_moved(driven, servo_id, by)
     driven.until(lambda cycle: "another arm, or the arm was moved" in cycle.trouble)
     assert driven.arm.bus is None
+    assert driven.arm.doubt.startswith(["shoulder", "boom"][servo_id - 1])
     with driven.emulator.motor(servo_id) as motor:
         motor.turn(-by)
         motor.goal = motor.position
     driven.until(lambda cycle: cycle.joints)  # its own
+    assert not driven.arm.doubt
 
 
 def test_an_arm_that_gave_way_a_little_or_was_without_torque_is_taken_back(driven: Driven) -> None:

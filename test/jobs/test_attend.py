@@ -27,16 +27,20 @@ from small_arm import ARM
 import longarm_comp as la
 from longarm_comp.cli import collect
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
 from longarm_comp.jobs.graph_client import Interrupted
+from longarm_comp.jobs.targets import TargetRunner
 from longarm_comp.jobs.touch import release_servos
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.health import INSTANCE
+from longarm_comp.nodes.messages import joints_message
 from longarm_interfaces.msg import DriverState
+from longarm_interfaces.srv import Compensate
 
 TWO_JOINTS = Arm.parse(
     {
@@ -167,6 +171,57 @@ def test_a_job_ends_where_another_program_commands_the_arm(rig: Rig) -> None:
         with pytest.raises(JobError, match="another program commanded the arm"):
             client.arrive(path, pace)
     rig.is_idle()
+
+
+def test_a_job_that_is_interrupted_stops_what_it_moves(rig: Rig) -> None:
+    rig.goes(shoulder=0.2)
+    interrupted = threading.Event()
+    with ArmClient(TWO_JOINTS, stop=interrupted) as client:
+        client.ready(600.0, tip=False)
+        client.send(np.array([[0.9, 0.02]]), 60.0)
+        client.until(lambda: client._way[0] == client._sent, 300.0, "accepted")
+        interrupted.set()
+        with pytest.raises(Interrupted):
+            client.look(np.array([[0.9, 0.02]]), Pace(), None)
+    rig.is_in(DriverState.READY)
+    assert rig.rests()["shoulder"] < 0.6
+
+
+def test_the_wait_for_a_target_knows_what_to_stop() -> None:
+    stands = joints_message(TWO_JOINTS, np.zeros(2))
+    client = MagicMock(arm=TWO_JOINTS, seen_in="")
+    client.call.return_value = Compensate.Response(success=True, id="its id", command=stands)
+    client.look.return_value = 0, []
+    TargetRunner(client, Pace()).run("targets", np.ones((1, 3)), Method.NONE, print)
+    assert client.look.call_args.args[-1] == "its id"
+
+
+def test_a_job_gives_no_target_under_a_stop(rig: Rig, shell: Shell) -> None:
+    assert shell("hold") == 0
+    with ArmClient(TWO_JOINTS) as client, pytest.raises(DriverStopped):
+        client.until(lambda: client._driver is not None, 300.0, "state")
+        TargetRunner(client, Pace()).run("targets", np.ones((3, 3)), Method.NONE, print)
+    assert shell("reset") == 0
+
+
+def test_no_hand_guides_an_arm_in_fault(rig: Rig, shell: Shell) -> None:
+    """Its stop would hide behind the fault, and the stop of another person with it."""
+    with rig.emulator.motor(1) as motor:
+        motor.blocked = True
+    rig.send("blocked", shoulder=0.9)
+    rig.is_in(DriverState.FAULT)
+    with rig.emulator.motor(1) as motor:
+        motor.blocked = False
+    with (
+        ArmClient(TWO_JOINTS) as client,
+        pytest.raises(JobError, match="nothing is done: fault since"),
+        release_servos(client),
+    ):
+        pass
+    rig.is_in(DriverState.FAULT)
+    assert rig.driving()
+    assert shell("reset") == 0
+    rig.is_in(DriverState.READY)
 
 
 def test_a_hand_guides_the_arm_while_touches_are_taken(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 from functools import partial
 from pathlib import Path
@@ -22,6 +23,7 @@ from geometry_msgs.msg import PointStamped
 from nodes_bench import Bench
 from places import DEMO_ARM as ARM
 from planning import THEIRS, Controller, Planner, ramp
+from rclpy.task import Future
 from simulated_graph import forked_graph
 from small_arm import ARM as SMALL
 from small_arm import AWAY
@@ -212,6 +214,45 @@ def test_a_path_is_sent_only_from_where_the_arm_still_stands(
     left[:] = [0.0]
     node._not_now = lambda said: "the joints are doubtful"
     assert told() == (None, "the joints are doubtful")
+
+
+@pytest.mark.parametrize("accepted", [False, True])
+@pytest.mark.parametrize("next_one", [set(), {b"restarted"}])
+def test_a_goal_ends_when_its_controller_is_gone_and_is_cancelled_if_it_is_accepted_late(
+    accepted: bool, next_one: set[bytes]
+) -> None:
+    """It is gone before it accepts, or after it; perhaps another one is there at once."""
+    kind, said, cancels = trajectory_compensator._TrajectoryCompensator, list[str](), list[int]()
+    sent = SimpleNamespace(
+        accepted=True, get_result_async=Future, cancel_goal_async=lambda: cancels.append(1)
+    )
+    goal: Any = SimpleNamespace(
+        request=TYPE.Goal(), is_cancel_requested=False, abort=lambda: said.append("aborted")
+    )
+    sending, seen = Future(), [{b"first"}, {b"first"}]
+    timed = SimpleNamespace(
+        joints=np.zeros((2, 1)), times=np.arange(2.0), velocities=np.zeros((2, 1))
+    )
+    node: Any = SimpleNamespace(
+        _arm=SimpleNamespace(joint_names=("base",)), _stamps=SimpleNamespace(next=Time),
+        _out=SimpleNamespace(send_goal_async=lambda goal, feedback: sending),
+        _driver=SimpleNamespace(acknowledged=True, forget_history=lambda: said.append("forgotten")),
+        _ticks=SimpleNamespace(next=lambda: asyncio.sleep(0)), _controller="theirs",
+        _controllers=lambda: seen.pop(0) if seen else next_one,
+        tally=SimpleNamespace(count=lambda what, why: said.append(why)),
+    )  # fmt: skip
+    node._hear, node._give_up = partial(kind._hear, node), partial(kind._give_up, node)
+    if accepted:
+        sending.set_result(sent)
+    result = asyncio.run(
+        asyncio.wait_for(kind._forward_path(node, goal, SimpleNamespace(timed=timed)), 10.0)
+    )
+    assert "theirs is gone" in result.error_string
+    assert said[0] == "forgotten" and said[-1] == "aborted"
+    assert len(cancels) == accepted
+    if not accepted:
+        sending.set_result(sent)
+        assert len(cancels) == 1
 
 
 @pytest.mark.parametrize("endless", [False, pytest.param(True, marks=pytest.mark.long)])

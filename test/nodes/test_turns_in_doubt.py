@@ -1,0 +1,105 @@
+"""A doubt about a servo's turns outlasts the driver's process, and ends by a person's word."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
+
+from driver_rig import Rig, driver_rig
+from lifecycle_msgs.msg import Transition
+from nodes_bench import Bench
+from std_srvs.srv import Trigger
+from stops_bench import StoppedArm, stopped_arm
+
+from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
+from longarm_comp.nodes import interfaces as graph
+from longarm_interfaces.msg import DriverState
+
+TURN = 4096.0
+LOST = "shoulder may have lost count of servo turns"
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    with driver_rig(tmp_path_factory.mktemp("doubt")) as made:
+        yield made
+
+
+@pytest.fixture
+def driver(stage: Bench, tmp_path: Path) -> Iterator[StoppedArm]:
+    with stopped_arm(stage, tmp_path / "stops") as made:
+        made.configure()
+        yield made
+
+
+def turned_without_torque(rig: Rig) -> None:
+    """The servo's power went and came back a turn away, and the driver says so."""
+    rig.in_order().is_in(DriverState.READY)
+    assert rig.change(Transition.TRANSITION_DEACTIVATE)
+    rig.stage.spin(rig.free)
+    rig.emulator.power_cycle(1)
+    rig.emulator.push(1, rig.emulator.positions()[1] - TURN)
+    assert LOST in rig.is_in(DriverState.FAULT).message
+
+
+@pytest.mark.parametrize("ended", ["killed", "stopped"])
+def test_a_lost_count_is_no_less_lost_after_a_restart(rig: Rig, ended: str) -> None:
+    turned_without_torque(rig)
+    if ended == "killed":
+        rig.process.kill()
+        rig.process.wait(timeout=300)
+    else:
+        rig.ends()
+    rig.start()
+    assert LOST in rig.is_in(DriverState.FAULT).message
+    rig.rests()
+    assert rig.free()
+    assert rig.call(graph.RESET, Trigger.Request()).success
+    rig.is_in(DriverState.READY)
+    assert rig.driving()
+
+
+def test_a_lost_count_ends_when_the_driver_is_configured_again_and_reset(rig: Rig) -> None:
+    turned_without_torque(rig)
+    assert rig.change(Transition.TRANSITION_ACTIVATE)
+    answer = rig.call(graph.RESET, Trigger.Request())
+    assert not answer.success and "configure the driver again and reset it" in answer.message
+    for transition in ("DEACTIVATE", "CLEANUP", "CONFIGURE", "ACTIVATE"):
+        assert rig.change(getattr(Transition, f"TRANSITION_{transition}"))
+    assert LOST in rig.is_in(DriverState.FAULT).message and rig.free()
+    assert rig.call(graph.RESET, Trigger.Request()).success
+    rig.is_in(DriverState.READY)
+    assert rig.driving()
+
+
+def test_the_end_of_an_emergency_stop_switches_no_torque_on_while_a_fault_is_kept(
+    driver: StoppedArm,
+) -> None:
+    driver.stops.keep_fault(JointFault(ServoTrouble.STALLED, "a", "against something"))
+    assert driver.ask(graph.ESTOP, True).success and driver.on == {False}
+    assert driver.ask(graph.ESTOP, False).success
+    assert driver.on == {False} and "stalled" in driver.stops.standing
+    assert driver.ask(graph.RESET).success and driver.on == {True}
+
+
+def test_a_reset_does_not_end_a_doubt_of_an_arm_whose_torque_is_on(driver: StoppedArm) -> None:
+    """Its encoder was pushed past the place where it jumps."""
+    assert driver.arm is not None
+    driver.arm._counts.lose({1})
+    driver.stops.keep_doubt(driver.arm.doubt)
+    answer = driver.ask(graph.RESET)
+    assert not answer.success and "configure the driver again and reset it" in answer.message
+    assert "a may have lost count" in driver.stops.standing and driver.on == {True}
+
+
+def test_a_doubt_is_kept_beside_a_fault_and_asked_for_once(driver: StoppedArm) -> None:
+    driver.stops.keep_fault(JointFault(ServoTrouble.LET_GO, "a", "its torque is off"))
+    for _ in range(3):
+        driver.stops.keep_doubt("")
+        driver.stops.keep_doubt("a may have lost count")
+    said = driver.stops.standing
+    assert said.count("a may have lost count") == 1 and "its torque is off" in said
