@@ -96,8 +96,7 @@ class ServoArm:
         self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
-        self._counts = TurnCounts(config)
-        self._now = math.nan  # when the last cycle began
+        self._counts, self._now = TurnCounts(config), math.nan  # and when the last cycle began
         self._moved = ""  # a joint that was moved while the port was lost, and may have lost count
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
