@@ -15,7 +15,6 @@ from longarm_comp.core.arm.circumstances import check_circumstance
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.compensation.online import JointTrust, Readings, StaleContext
-from longarm_comp.core.data.rest import JOINT_REST, REST_S
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
@@ -211,11 +210,8 @@ class ArmState:
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
 
-_MOVED, _HELD = 2e-2, 3.0 * JOINT_REST
-"""A joint that is this far (rad, m) from its last end was moved.
-
-The second is for joints that rested within `JOINT_REST` of it: servos that yield stand below it.
-"""
+_MOVED = 2e-2
+"""A joint that is this far (rad, m) from its last end was moved: encoder noise is smaller."""
 
 
 class DriverLink:
@@ -240,7 +236,6 @@ class DriverLink:
         self.history = History.unknown(state.arm.n)
         self._end: np.ndarray | None = None
         self._arrived = self._left = False
-        self._held_since = math.inf  # since when (ROS clock, s) the joints rest at the end
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -DRIVER_SILENT_S
         self._known: set[str] = set()
@@ -323,7 +318,6 @@ class DriverLink:
         """Note that the joints (rad, m) move from a start (n,), if known, along a path (k, n)."""
         self.history = self.history.after(path, start)
         self._end, self._arrived, self._left = path[-1], False, False
-        self._held_since = math.inf
         for listen in self.command_listeners:
             listen(path[-1], self.history)
 
@@ -340,11 +334,7 @@ class DriverLink:
         end = self._end
         if self.acknowledged or end is None:
             return
-        off = float(np.abs(q - end).max())
-        held = at_s - self._held_since >= REST_S
-        if not held:
-            self._held_since = min(self._held_since, at_s) if off <= JOINT_REST else math.inf
-        there = off <= (_HELD if held else _MOVED)
+        there = bool(np.abs(q - end).max() <= _MOVED)
         self._left = self._left or (self._arrived and not there)
         self._arrived = self._arrived or there
         if self._left:  # not if a command, received meanwhile on the worker, moves them
