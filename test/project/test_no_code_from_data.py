@@ -111,7 +111,8 @@ def test_a_node_takes_it_from_its_command_line_only(trap: Path, node: str, optio
 
     code, said = ran()
     assert (code, executed(trap)) == (2, False), said
-    assert option in said and len(said.splitlines()) == 1
+    *_, last = said.splitlines()  # the middleware may speak before
+    assert option in last and "Traceback" not in said
     wrong = (["--effect", trap], [f"--{option}"], [trap, f"--{option}"])
     for words in wrong if node == "kinematics" else ():  # one reader of words for all nodes
         code, said = ran(*words)
@@ -119,7 +120,7 @@ def test_a_node_takes_it_from_its_command_line_only(trap: Path, node: str, optio
         assert "command line: arguments: " in said
     code, said = ran(f"--{option}", trap)
     assert executed(trap), said  # and then it is refused, because it defines nothing
-    assert (code, len(said.splitlines())) == (2, 1)
+    assert code == 2 and "Traceback" not in said
 
 
 def test_modules_of_the_folder_where_the_program_is_started(trap: Path) -> None:

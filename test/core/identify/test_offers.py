@@ -335,7 +335,7 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
     rows = measured(SMALL, (drives.JointGain(at(2, 0.02)),), ROWS, 3)
     bare = calibrated(SMALL, rows)
     whole = fit_model(bare.model.plus(JointGain(2)), rows)
-    named = Candidate("joint_gain", (JointGain(2),))
+    named = FoundEffect((JointGain(2),), 1.0, 200.0)
     made = [propose_functions(whole, found) for found in ((), (named,))]
     same = [any(t.place == "joint 2, turn z, linear(q2)" for p in m for t in p.terms) for m in made]
     assert same == [False, True]
@@ -345,7 +345,7 @@ def test_no_function_is_on_offer_in_the_place_of_what_gives_way() -> None:
     """Under another load a function does not know by how much."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=2e-2))
     whole = fit_model(calibrated(DEMO, rows).model.plus(JointCompliance(2)), rows)
-    found = [Candidate("joint_compliance", (JointCompliance(2),))]
+    found = [FoundEffect((JointCompliance(2),), 1.0, 200.0)]
     assert JointCompliance.elastic and not propose_functions(whole, found)
 
 
@@ -356,7 +356,7 @@ def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
     bare = calibrated(SMALL, rows)
     whole = fit_model(bare.model.plus(JointGain(1), GearEccentricity(2)), rows)
     known = {t.name: t for t in whole.model.effects}
-    found = [Candidate(n, (known[n],)) for n in ("joint_gain", "gear_eccentricity")]
+    found = [FoundEffect((known[n],), 1.0, 200.0) for n in ("joint_gain", "gear_eccentricity")]
     curves = {
         p.log_prior: p.terms
         for p in propose_functions(whole, found)
