@@ -153,15 +153,6 @@ def test_a_form_may_err_by_a_share_of_its_own_shift() -> None:
     assert np.linalg.norm(large[np.abs(white) < 1e-12]) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_function_without_a_name_is_corrected_by_a_further_one() -> None:
-    """No error of its form may explain what a further function is there to explain."""
-    rows = session_of(DEMO, 2, JointGain(5, gain=0.04))
-    curve = Discovered("joint 5", "turn z", "linear(q5)", "q5 -1..1")
-    fitted, found = explained_by(rows, curve)
-    assert all(f.unnamed for f in found)
-    assert tolerance_columns(fitted, (), found, ModelTolerance(0.1, False)).shape[1] == 0
-
-
 def test_what_every_arm_has_is_there_and_no_finding() -> None:
     """A lean of 5 mrad about each axis, on top of which one of 30 must explain something."""
     fitted, _ = planted()

@@ -1,8 +1,8 @@
 """Makes the bank of offers of a session: the library, and functions without a name.
 
 Every name has the same prior probability, which is divided among its places and forms.  All
-functions without a name together have the prior probability `UNNAMED`.  For each named effect in
-the model there are further columns, because the form of no effect is exact (`FORMS`).
+functions without a name together have the prior probability `UNNAMED`.  For each effect in the
+model there are further columns, because the form of no effect is exact (`FORMS`).
 """
 
 from __future__ import annotations
@@ -197,10 +197,9 @@ def _besides_findings(
     """Compute the columns that model tolerances allow besides the findings.
 
     They are what every arm has a little of (`model_tolerance.py`), and errors of the forms of the
-    found named effects.  The error of a form varies with every joint by its `_principal_functions`.
-    A function without a name has none: it is a curve of the rows, and a further function that
-    corrects it belongs to the same unknown cause.  A row so near to a threshold that the tolerance
-    decides its side gets a column of its own, so its side has no influence.
+    found effects.  The error of a form varies with every joint by its `_principal_functions`.  A
+    row so near to a threshold that the tolerance decides its side gets a column of its own, so its
+    side has no influence.
 
     Returns (m, k) whitened columns, and (S, k) their sizes by each of S tolerances.
     """
@@ -223,14 +222,14 @@ def _besides_findings(
     FitColumns(fitted).prior_columns([end for pair in ends for end in pair])
     for f in found:
         terms = [held[t.key] for t in f.terms if t.key in held]
-        if terms and not f.unnamed:
+        if terms:
             shift = FitColumns(fitted).shift_by(terms)
             made.append(fitted.whiten_columns(shift[:, :, None] * ways[:, None, :]))
             sizes.append(forms[:, None] * np.ones(ways.shape[1]))
-        for term in terms:
-            for form in np.unique(forms).tolist() if term.scales() else ():
-                made.append(fitted.whiten_columns(_undecided_row_columns(fitted, term, form)))
-                sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
+            for term in terms:
+                for form in np.unique(forms).tolist() if term.scales() else ():
+                    made.append(fitted.whiten_columns(_undecided_row_columns(fitted, term, form)))
+                    sizes.append((forms == form)[:, None] * np.ones(made[-1].shape[1]))
     return np.concatenate(made, axis=1), np.concatenate(sizes, axis=1)
 
 
