@@ -91,7 +91,8 @@ PARAMS = (
 _TRIES = 3
 """How often a path is computed before its goal is refused, because the arm moved meanwhile."""
 _GONE_TICKS = 20
-"""Ticks (0.05 s each) without the controller after which it is gone."""
+"""Ticks (0.05 s each) without the controller after which it is gone: one second, because discovery
+may miss a node that is there for shorter."""
 
 
 class _TrajectoryCompensator(ArmNode):
