@@ -15,11 +15,12 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import CameraSensor, Inclinometer, Marker
 from longarm_comp.core.arm.spatial import rpy_frame
 from longarm_comp.core.data.admission import Admission, admit
-from longarm_comp.core.data.belonging import MIN_POSES
+from longarm_comp.core.data.belonging import MIN_POSES, sample_rows
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import read_csv
+from longarm_comp.share import folder
 
 
 @pytest.fixture
@@ -181,6 +182,23 @@ def test_all_rows_one_pose(session: Session, rng: np.random.Generator) -> None:
     xyz = session.xyz[[0] * 30] + 1e-4 * rng.standard_normal((30, 3))
     still = Session.record(session.q[[0] * 30], xyz)
     assert "poses with a marker: 1" in refusal(still)
+
+
+def test_one_load_that_the_beams_do_not_carry_is_found_among_many_rows(
+    rng: np.random.Generator,
+) -> None:
+    demo = Arm.load(folder("config") / "arm_demo.yaml")
+    assert demo.payload is not None
+    payload = demo.payload.model_copy(update={"most_kg": 1e6})
+    demo = demo.model_copy(update={"payload": payload})
+    q = rng.uniform(demo.lower, demo.upper, (400, demo.n))
+    load = np.full(400, 0.25)
+    rows = Session.record(q, Model(demo).tip(q), columns={"payload_kg": load})
+    among = np.setdiff1d(np.arange(400), sample_rows(rows))[0]
+    load[among] = 9e5
+    heavy = Session.record(q, rows.xyz, columns={"payload_kg": load})
+    with pytest.raises(InputError, match="look at E_pa"):
+        admit(heavy, demo)
 
 
 def test_few_copied_rows_are_noted(session: Session) -> None:
