@@ -23,7 +23,13 @@ from longarm_interfaces.action import Reach
 
 def test_a_goal_cancelled_before_its_joints_are_sent_moves_nothing(stage: Bench, arm: Arm) -> None:
     """The worker is busy with another job when the goal comes, and still when it is cancelled."""
-    target, go_on = declared_model(arm).pose(arm.mid), threading.Event()
+    target = declared_model(arm).pose(arm.mid)
+    begun, go_on = threading.Event(), threading.Event()
+
+    def busy() -> None:
+        begun.set()
+        go_on.wait()
+
     with kinematics_inside(
         arm=ARM, compiled="false", acknowledged="true", method="deflection",
         target_max_age_s=60.0, joints_max_age_s=60.0,
@@ -36,8 +42,8 @@ def test_a_goal_cancelled_before_its_joints_are_sent_moves_nothing(stage: Bench,
             reach = stage.action(Reach, graph.REACH.name)
             stage.spin(lambda: stage.call(client, request(target, arm, execute=True)).success)
             stage.spin(lambda: driver.got)
-            worker.submit(go_on.wait)
-            stage.spin(lambda: not worker.waiting)
+            worker.submit(busy)
+            stage.spin(begun.is_set)
             driver.got.clear()
             sent = reach.send_goal_async(Reach.Goal(target=pose(target)))
             stage.spin(lambda: sent.done() and worker.waiting)

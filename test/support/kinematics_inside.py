@@ -28,10 +28,12 @@ def kinematics_inside(**parameters: object) -> Iterator[Kinematics]:
 
     thread = threading.Thread(target=spin)
     thread.start()
-    yield node
-    over.set()
-    thread.join()
-    node.close()
-    executor.shutdown(timeout_sec=1.0)
-    node.destroy_node()
-    rclpy.try_shutdown()
+    try:
+        yield node
+    finally:
+        over.set()
+        thread.join()
+        node.close()
+        executor.shutdown(timeout_sec=1.0)
+        node.destroy_node()
+        rclpy.try_shutdown()
