@@ -119,7 +119,7 @@ class DynamixelWire(RegisterWire):
             motor.goal = float(
                 _sign_of(device) * (_signed_at(device, _At.GOAL) - _signed_at(device, _At.OFFSET))
             )
-        if address <= _At.PROFILE_VELOCITY < end:
+        if end > _At.PROFILE_VELOCITY and address <= _At.GOAL:
             profile = device.get(_At.PROFILE_VELOCITY, 4)
             if device.get(_At.DRIVE_MODE, 1) & _TIME_BASED:  # duration of a motion, ms
                 way = abs(motor.goal - motor.position)
