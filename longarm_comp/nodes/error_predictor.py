@@ -17,7 +17,7 @@ from longarm_comp.nodes.messages import error_message, joints_of, sides_of, vect
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode, program
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.served_predictor import BEAT_S, ServedPredictor
+from longarm_comp.nodes.predictor_client import BEAT_S, ServedPredictor
 from longarm_comp.nodes.worker import Reply
 from longarm_interfaces.srv import PredictError
 

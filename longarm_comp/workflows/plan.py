@@ -29,8 +29,8 @@ from longarm_comp.core.planning.optimal_poses import (
     Measure,
     Uncertainty,
     choose_optimal_poses,
+    draw_touch_poses,
 )
-from longarm_comp.core.planning.touch_poses import draw_touch_poses
 from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows import inputs
 
