@@ -1,7 +1,5 @@
 """`error_predictor`: predicts the learned error at given joints; refuses outside its domain."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

@@ -4,8 +4,6 @@ A row is a command and the mean of the sightings after the arm has settled, up t
 Topics are recognised by the last part of their name and their type; all others are ignored.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Reads a day of work from its bag: targets, errors at rest, refusals, messages of the nodes."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter

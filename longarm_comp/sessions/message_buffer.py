@@ -4,8 +4,6 @@
 memory.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from bisect import bisect_left, bisect_right, insort

@@ -5,8 +5,6 @@ later, by a delay of middleware and machine that differs between topics.  So onl
 the order in which commands, joint states and sightings happened.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import struct
 from collections import deque

@@ -1,7 +1,5 @@
 """Applies a diagnosis: checks that it fits the model in use, trains a predictor, uses both."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 from pathlib import Path

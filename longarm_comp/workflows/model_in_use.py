@@ -6,8 +6,6 @@ are written first, and a predictor that no longer fits is set aside last. So an 
 leaves a model with a predictor that fits, or a model alone, and the next change finishes it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -1,7 +1,5 @@
 """Plans the poses to measure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path

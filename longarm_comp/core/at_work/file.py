@@ -4,8 +4,6 @@ It holds the model in use with its uncertainty, not the explanations that were s
 about the last sightings is not stored either: the model from before it is.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from contextlib import suppress

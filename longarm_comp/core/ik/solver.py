@@ -5,8 +5,6 @@ only if the seed fails, so that a tracked path does not jump to another branch. 
 evaluated at the returned joints with all load passes of the model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum

@@ -5,8 +5,6 @@ byte. An interruption loses neither. If the path is a symbolic link, both are be
 it leads to.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import os
