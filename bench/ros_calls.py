@@ -25,7 +25,7 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.jobs.client import ArmClient
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.messages import joints_message, pose_message
-from longarm_comp.nodes.served_predictor import ServedPredictor
+from longarm_comp.nodes.predictor_client import ServedPredictor
 from longarm_interfaces.msg import Compensation
 from longarm_interfaces.srv import Compensate
 

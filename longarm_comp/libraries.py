@@ -3,8 +3,6 @@
 Ubuntu 24.04 packages pydantic 1.10 and OpenCV 4.6; rosdep installs these, and no llvmlite.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from importlib import import_module

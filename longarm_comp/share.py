@@ -1,7 +1,5 @@
 """Finds the installed files of a package: in ``share/<package>`` of the prefix that holds it."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

@@ -6,8 +6,6 @@ if a rotation is needed.  A joint beside the chain that a joint of the chain mim
 commanded row that does not move the chain itself.  A URDF has no beams.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

@@ -5,8 +5,6 @@ row are in its joint's origin and axis.  A URDF is rigid: deflection, play and t
 model.yaml.
 """
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence

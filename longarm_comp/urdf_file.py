@@ -1,7 +1,5 @@
 """Links and joints of a URDF file, checked as a tree."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Iterator

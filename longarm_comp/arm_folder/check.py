@@ -1,7 +1,5 @@
 """Checks an arm's folder: missing files, implausible values, unmeasured assumptions."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 A text has keys and values, also of bending tubes and servo masses: ``a=0.1 limits=-30..30``.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Sequence

@@ -3,8 +3,6 @@
 When values in the text of a YAML file are replaced, its comments and order are kept.
 """
 
-from __future__ import annotations
-
 import io
 import operator
 from collections.abc import Iterator, Mapping

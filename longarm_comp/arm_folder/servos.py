@@ -1,7 +1,5 @@
 """Finds servo settings that fit an arm: gearing by the joints' ranges and steps, and limits."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any

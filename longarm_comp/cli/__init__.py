@@ -5,8 +5,6 @@ module is imported when it is run, so that ``longarm --help`` stays quick. It pa
 `print_json` and to `print_rows`: with ``--json`` only the first prints, else only the second.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

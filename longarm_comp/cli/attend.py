@@ -1,7 +1,5 @@
 """Commands for a running arm: its state, hold, stop, reset, view, and faults to rehearse."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import click

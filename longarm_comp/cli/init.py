@@ -1,7 +1,5 @@
 """``longarm init`` and ``longarm check``: an arm's folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import click

@@ -4,8 +4,6 @@ A command calls both kinds of functions, those that print JSON and those that pr
 ``--json`` only the former print, else only the latter.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -5,8 +5,6 @@ command wrote it. Files that people edit, like arm.yaml, and all other files sta
 overrides this. Links are followed. Inputs must be regular files or folders, and numbers finite.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -3,8 +3,6 @@
 A name of two words is a command of a group.
 """
 
-from __future__ import annotations
-
 import importlib
 import sys
 from pathlib import Path

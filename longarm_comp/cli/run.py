@@ -1,7 +1,5 @@
 """The root command: imports commands when they are run, prints errors, returns exit codes."""
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

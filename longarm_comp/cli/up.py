@@ -1,7 +1,5 @@
 """``longarm up`` and ``demo``: commands that start a graph."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """Code from outside this package: objects of other packages' entry points, and Python files."""
 
-from __future__ import annotations
-
 import hashlib
 import importlib.util
 import inspect

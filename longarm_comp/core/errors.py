@@ -1,7 +1,5 @@
 """The one error tree. Every error says, on one line, what a user needs in order to act."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any, ClassVar
 

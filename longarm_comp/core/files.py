@@ -1,7 +1,5 @@
 """Writes files whole or not at all; hashes, checks and locks files."""
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import hashlib

@@ -1,7 +1,5 @@
 """A sentence and a table as a notebook shows them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any

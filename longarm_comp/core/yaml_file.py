@@ -1,7 +1,5 @@
 """Files that people write: YAML checked against a declared shape, the first fault in one line."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from typing import Any, TypeVar

@@ -1,7 +1,5 @@
 """Applies a diagnosis on a running graph: replaces its files, then has the nodes read them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Commands of a person to a running arm (status, hold, stop, reset), and simulated faults."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Guided capture of a calibration board from the image topics."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable
 from functools import partial

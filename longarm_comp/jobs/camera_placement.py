@@ -1,7 +1,5 @@
 """Finds the pose of the stereo head from a session that it measured: hand-eye calibration."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A client of an arm's graph: sends joints, waits for rest, collects sightings of the tip."""
 
-from __future__ import annotations
-
 import threading
 import time
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """The demonstration: a simulated arm on a graph of its own, and the loop on it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import threading

@@ -3,8 +3,6 @@
 It uses one executor in the caller's thread. Every wait ends at once when ``stop`` is set.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The loop: drive targets, collect, diagnose, ask, apply, train, drive again; repeat if it pays."""
 
-from __future__ import annotations
-
 import json
 import math
 import time

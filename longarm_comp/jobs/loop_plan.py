@@ -1,7 +1,5 @@
 """The poses that a round of the loop measures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recording of the graph's topics in a bag, as serialised messages."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Sequence

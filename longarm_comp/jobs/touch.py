@@ -1,7 +1,5 @@
 """Records touches: the joint values of a running graph while somebody holds the tip still."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Joints along a path that is cubic in time between way-points (Hermite segments)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rigid motion from one set of points to another, and lengths of vectors."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """A shaped motion: the weighted sum of delayed copies of it, some of them stretched in time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

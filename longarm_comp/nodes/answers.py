@@ -1,7 +1,5 @@
 """Records of the targets that `kinematics` gets and of its answers, and the messages of both."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field

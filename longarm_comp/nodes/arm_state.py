@@ -1,7 +1,5 @@
 """The state of a node's arm: the model, and what the graph and the driver publish about it."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Mapping

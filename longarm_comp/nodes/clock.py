@@ -1,7 +1,5 @@
 """Stamps of messages as whole nanoseconds, and timers of a steady clock."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -1,7 +1,5 @@
 """Computes the answer to one target, and compiles in advance what the next target needs."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Hashable
 from dataclasses import replace

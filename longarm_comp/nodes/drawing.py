@@ -1,7 +1,5 @@
 """Publishes pictures of the arm: its links and URDF on /tf, markers for RViz."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`error_predictor`: predicts the learned error at given joints; refuses outside its domain."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -17,7 +15,7 @@ from longarm_comp.nodes.messages import error_message, joints_of, sides_of, vect
 from longarm_comp.nodes.model_files import ModelFiles
 from longarm_comp.nodes.node import WATCH, ArmNode, program
 from longarm_comp.nodes.params import Param
-from longarm_comp.nodes.served_predictor import BEAT_S, ServedPredictor
+from longarm_comp.nodes.predictor_client import BEAT_S, ServedPredictor
 from longarm_comp.nodes.worker import Reply
 from longarm_interfaces.srv import PredictError
 

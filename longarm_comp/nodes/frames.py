@@ -4,8 +4,6 @@ Without tf2_msgs nothing is published, and nothing is heard of other frames. Nam
 frames begin with its namespace: ``left_arm/base``.
 """
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Reports of a node's state on /diagnostics, by default once a second."""
 
-from __future__ import annotations
-
 import os
 import time
 import uuid

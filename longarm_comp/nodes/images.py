@@ -1,7 +1,5 @@
 """Images of cameras: subscriptions that count losses, conversions of messages, calibrations."""
 
-from __future__ import annotations
-
 import array
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields

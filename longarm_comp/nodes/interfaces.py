@@ -5,8 +5,6 @@ Programs that talk to the graph use this table too, so that their QoS is compati
 ``TARGET_POSE.publisher(node)`` or ``TIP_MEASURED.subscription(node, callback)``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """`kinematics`: computes compensated joints for targets, and publishes each computation."""
 
-from __future__ import annotations
-
 from functools import partial
 
 from geometry_msgs.msg import PoseWithCovarianceStamped

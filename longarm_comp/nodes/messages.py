@@ -3,8 +3,6 @@
 Arrays (n,) are in the order of the arm's joints, rad (revolute) and m (prismatic).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy

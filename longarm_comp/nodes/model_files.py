@@ -1,7 +1,5 @@
 """The declared arm and the model in use, loaded from arm.yaml and model.yaml."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Monitors of the tip: compares joint readings and sightings with predictions and targets."""
 
-from __future__ import annotations
-
 import contextlib
 import shlex
 import threading

@@ -1,7 +1,5 @@
 """The base class of all nodes, and the function that runs a node as a process."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

@@ -5,8 +5,6 @@ passes the same checks as a message. Its result follows from the events that the
 `motion` for its id.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math

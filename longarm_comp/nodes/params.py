@@ -1,7 +1,5 @@
 """Parameters of a node: declared with description and range; unknown names are refused."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

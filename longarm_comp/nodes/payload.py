@@ -1,7 +1,5 @@
 """Weighs the payload at rest, from the loads of the servos or the force at a wrist sensor."""
 
-from __future__ import annotations
-
 import math
 import time
 from functools import partial

@@ -1,7 +1,5 @@
 """The action `reach`: moves the tip to a target, gives feedback, and reports where it rests."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections import deque

@@ -5,8 +5,6 @@ published in the base frame on `tip_seen`. The tracker's frame is also published
 targets may be given in it. No other module converts between these frames.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
 

@@ -4,8 +4,6 @@ It offers a servo bus on a pseudo-terminal. It publishes the images of two camer
 payload.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable
 from pathlib import Path

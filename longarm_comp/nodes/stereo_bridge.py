@@ -1,7 +1,5 @@
 """`stereo_bridge`: measures the tip, with covariance, in left and right images (base frame)."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from functools import partial

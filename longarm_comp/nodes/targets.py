@@ -1,7 +1,5 @@
 """Answers the targets that `kinematics` receives: in order of arrival, each exactly once."""
 
-from __future__ import annotations
-
 import itertools
 import time
 import uuid

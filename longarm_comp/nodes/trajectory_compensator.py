@@ -5,8 +5,6 @@ the same type of `servo_driver` or of any joint trajectory controller. It sends 
 that it refuses.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Mapping
 from copy import copy

@@ -1,7 +1,5 @@
 """Builds the contents of report.json from a diagnosis, deterministically."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import asdict
 

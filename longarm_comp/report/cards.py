@@ -1,7 +1,5 @@
 """A card per finding in words: what, how big, how sure, what to do; all from report.json."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

@@ -3,8 +3,6 @@
 All parts are optional: a verdict of noise has no guilty input, one of bad_data no rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Noise estimated from the residual is an upper bound, because the residual may ho
 another model may err by less.  So no more noise is shown and subtracted than these errors allow.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt

@@ -1,7 +1,5 @@
 """The figures: errors of models or runs, over inputs, on the arm; what the scene draws."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from typing import Any

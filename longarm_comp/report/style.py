@@ -1,7 +1,5 @@
 """Style of all figures: Okabe and Ito's palette, with a marker, line or hatch per colour."""
 
-from __future__ import annotations
-
 import io
 from contextlib import AbstractContextManager
 from dataclasses import dataclass

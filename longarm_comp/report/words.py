@@ -1,7 +1,5 @@
 """Words of the page: numbers, the verdict, what it changed, what the data could not tell."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ A row is a command and the mean of the sightings after the arm has settled, up t
 Topics are recognised by the last part of their name and their type; all others are ignored.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -35,7 +33,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow, between
-from longarm_comp.sessions.message_types import CLOCKS_APART, JointStates, message_types
+from longarm_comp.sessions.message_types import CLOCKS_APART, message_types
 
 
 class _Row(NamedTuple):
@@ -320,7 +318,7 @@ def read_last(path: str | Path, arm: Arm) -> MessageBuffer:
     with open_bag(path) as reader:
         buffer = MessageBuffer(arm, where, reader.start_time, every_command=True)
         messages = raw_messages(reader, _topics_of_one_arm(reader, None, where))
-        for name, stamp, message in decode(messages, arm, where):
+        for name, stamp, message in decode(messages, where):
             buffer.take(name, stamp, message)
             while len(buffer.commands) > 1:
                 buffer.commands.popleft()
@@ -369,7 +367,7 @@ def read_visit(messages: Sequence[Message], arm: Arm) -> Session:
 
 def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     rows = Rows(buffer)
-    for name, stamp, message in decode(messages, buffer.arm, buffer.where):
+    for name, stamp, message in decode(messages, buffer.where):
         buffer.take(name, stamp, message)
         if name == "joint_trajectory":
             rows.close()
@@ -377,17 +375,11 @@ def _rows(messages: Iterable[Message], buffer: MessageBuffer) -> Rows:
     return rows
 
 
-def decode(messages: Iterable[Message], arm: Arm, where: str) -> Iterator[tuple[str, int, Any]]:
-    """Yield the last part of the topic's name, the time of recording (ns) and the message.
-
-    A message of `joint_states` is the pair that `JointStates` returns.
-    """
+def decode(messages: Iterable[Message], where: str) -> Iterator[tuple[str, int, Any]]:
+    """Yield the last part of the topic's name, the time of recording (ns) and the message."""
     types = message_types()
-    joint_states = JointStates(arm.joint_names, types)
     try:
         for topic, kind, stamp, raw in messages:
-            name = last_part(topic)
-            states = name == "joint_states"
-            yield name, stamp, joint_states(raw) if states else types.deserialize_cdr(raw, kind)
+            yield last_part(topic), stamp, types.deserialize_cdr(raw, kind)
     except Exception as error:  # as in open_bag; what the caller raises does not come here
         raise _make_broken(where, error) from error

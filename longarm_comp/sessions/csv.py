@@ -4,8 +4,6 @@ Columns with other names are kept too: numbers among the session's columns, text
 A name that is close to a known one is refused, because it is probably misspelt.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Collection, Sequence

@@ -1,7 +1,5 @@
 """Reads a day of work from its bag: targets, errors at rest, refusals, messages of the nodes."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections import Counter
@@ -100,7 +98,7 @@ def read_day(path: str | Path, arm: Arm, namespace: str | None, parts: tuple[str
         wanted = [c for c in own if c.topic.endswith(f"/{_ASKED}")]
         spaces = {c.topic.rpartition("/")[0] for c in wanted}
         wanted += [c for c in reader.connections if c.topic.endswith(f"/{_SAID}")]
-        for name, stamp, message in decode(raw_messages(reader, wanted), arm, str(path)):
+        for name, stamp, message in decode(raw_messages(reader, wanted), str(path)):
             t = (stamp - start) * 1e-9
             if name == _ASKED:
                 asked.append((t, message))

@@ -4,8 +4,6 @@
 memory.
 """
 
-from __future__ import annotations
-
 import math
 from array import array
 from bisect import bisect_left, bisect_right, insort
@@ -163,18 +161,18 @@ class MessageBuffer:
             self.commands.append((sent, q))
             self.sent = q[-1]
 
-    def _take_joint_states(self, t: float, message: tuple[int, tuple[float, ...] | None]) -> None:
-        """Store a stamp (ns) and positions in the arm's order, as `JointStates` returns them.
+    def _take_joint_states(self, t: float, message: Any) -> None:
+        """Store positions in the arm's order.
 
-        Positions of None (a joint is missing) and those before the first command are ignored.
+        A message without one of the joints, and one before the first command, is ignored.
         """
-        stamp_ns, positions = message
-        if positions is not None and self.commands:
-            at = self._message_time(stamp_ns)
-            place = bisect_right(self._times, at)  # nearly always the end
-            self._times.insert(place, at)
+        at = dict(zip(message.name, message.position.tolist(), strict=False))
+        if self.commands and all(name in at for name in self.arm.joint_names):
+            time_s = self._message_time(_stamp_ns(message))
+            place = bisect_right(self._times, time_s)  # nearly always the end
+            self._times.insert(place, time_s)
             n = self.arm.n
-            self._joints[place * n : place * n] = array("d", positions)
+            self._joints[place * n : place * n] = array("d", [at[k] for k in self.arm.joint_names])
 
     def _take_tip_measured(self, t: float, message: Any) -> None:
         p = message.pose.pose.position

@@ -5,17 +5,10 @@ later, by a delay of middleware and machine that differs between topics.  So onl
 the order in which commands, joint states and sightings happened.
 """
 
-from __future__ import annotations
-
-import dataclasses
 import struct
-from collections import deque
-from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
 
-import numpy as np
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -89,58 +82,3 @@ def stamp_of_raw(raw: bytes) -> int:
     """Return the stamp (ns) of a serialised message that begins with a header."""
     seconds, rest = struct.unpack_from("<iI" if raw[1] & 1 else ">iI", raw, 4)
     return int(seconds) * 10**9 + int(rest)
-
-
-KIND = "sensor_msgs/msg/JointState"
-_ENCODING, _STAMP = slice(0, 4), 12  # the header's stamp ends here
-
-Numbers = tuple[float, ...]
-
-
-class _Layout(NamedTuple):
-    """Bytes before the positions, and format and order of the positions."""
-
-    encoding: bytes
-    head: bytes
-    begin: int
-    numbers: struct.Struct
-    order: list[int]  # indices of the arm's joints; empty if one of them is missing
-
-
-class JointStates:
-    """Reads positions of an arm's joints without parsing each message.
-
-    A robot sends the same names in the same order a hundred times a second. If the bytes before
-    the positions equal those of a message that was parsed, the positions are at the same offset.
-    """
-
-    def __init__(self, names: Sequence[str], types: Typestore) -> None:
-        self._names, self._types = tuple(names), types
-        self._layouts: deque[_Layout] = deque(maxlen=8)  # the latest first
-
-    def __call__(self, raw: bytes) -> tuple[int, Numbers | None]:
-        """Return stamp (ns) and positions (n,) in the arm's order; None if a joint is missing."""
-        stamp_ns = stamp_of_raw(raw)
-        for known in self._layouts:
-            if raw[_STAMP : known.begin] == known.head and raw[_ENCODING] == known.encoding:
-                return stamp_ns, _pick_from(
-                    known.numbers.unpack_from(raw, known.begin), known.order
-                )
-        message: Any = self._types.deserialize_cdr(raw, KIND)
-        place = {name: k for k, name in enumerate(message.name[: len(message.position)])}
-        order = [place[name] for name in self._names if name in place]
-        order = order if len(order) == len(self._names) else []
-        # The offset of the positions: marks are serialised in their place and searched
-        marks = 1.5 + np.arange(len(message.position))
-        probe = dataclasses.replace(message, position=marks)
-        written = bytes(self._types.serialize_cdr(probe, KIND))
-        begin = written.find(marks.tobytes()) if len(marks) else -1
-        alike = all(written[part] == raw[part] for part in (_ENCODING, slice(_STAMP, begin)))
-        if begin >= 0 and alike:
-            numbers, head = struct.Struct(f"<{len(marks)}d"), bytes(raw[_STAMP:begin])
-            self._layouts.appendleft(_Layout(bytes(raw[_ENCODING]), head, begin, numbers, order))
-        return stamp_ns, _pick_from(tuple(map(float, message.position)), order)
-
-
-def _pick_from(values: Numbers, order: list[int]) -> Numbers | None:
-    return tuple([values[k] for k in order]) if order else None

@@ -3,8 +3,6 @@
 If the joints of a pose arrive from different sides, ``approach_q1..qn`` replace ``approach``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

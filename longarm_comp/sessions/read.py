@@ -1,7 +1,5 @@
 """Reads a session, or the free vibration after a move (a ring), from any supported format."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

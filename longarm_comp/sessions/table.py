@@ -1,7 +1,5 @@
 """Reads CSV files as columns of text, with line numbers for error messages; writes CSV files."""
 
-from __future__ import annotations
-
 import csv
 import math
 import re

@@ -9,8 +9,6 @@ Optical frames: x right, y down, z forward. Marker frame: x right, y up, z towar
 origin in the middle of the plate. ``a_T_b`` takes points of b to a; metres.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

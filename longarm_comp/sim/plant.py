@@ -3,8 +3,6 @@
 It is commanded only through the servo bus and observed only through the cameras.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time

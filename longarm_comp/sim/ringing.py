@@ -6,8 +6,6 @@ has the stiffness of the hidden effects beyond their play.  The vibration is sma
 arm.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

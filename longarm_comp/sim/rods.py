@@ -16,8 +16,6 @@ gravity in the axes of the last frame, two angles.  They are found by shooting u
 down in the base frame (`settle`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

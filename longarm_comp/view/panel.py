@@ -1,7 +1,5 @@
 """The page's panel: state in words, buttons that call services of the graph, sliders, health."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

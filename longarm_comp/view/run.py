@@ -3,8 +3,6 @@
 One thread listens to the graph and draws, viser's threads serve the browsers.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time

@@ -1,7 +1,5 @@
 """The arm in 3-D: declared, as it hangs, target and tip, errors as arrows."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 A browser without WebGL gets the same page without a scene: text and the buttons.
 """
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager

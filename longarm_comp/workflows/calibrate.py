@@ -1,7 +1,5 @@
 """Calibration: geometry and declared effects fitted to a session, judged on held-out blocks."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

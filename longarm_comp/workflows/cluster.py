@@ -3,8 +3,6 @@
 joblib's backend for dask is not used, because it waits forever for a task whose worker died.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError

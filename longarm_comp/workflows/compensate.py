@@ -1,7 +1,5 @@
 """Computes joint commands that bring the real tip to targets."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Computes joints and times that bring the real tip along a path."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Diagnosis: finds missing effects; writes report, model, predictor and poses to measure."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Evaluates every stage of a model on measured poses, as in the paper's Table I."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

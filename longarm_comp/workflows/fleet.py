@@ -1,7 +1,5 @@
 """Diagnoses the newest session of each of many arms, and compares the arms."""
 
-from __future__ import annotations
-
 import csv
 import gc
 import hashlib

@@ -6,8 +6,6 @@ are written first, and a predictor that no longer fits is set aside last. So an 
 leaves a model with a predictor that fits, or a model alone, and the next change finishes it.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -16,7 +14,7 @@ from pathlib import Path
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import alone_in, file_hash, follow_link, write_bytes
 from longarm_comp.core.learn import predictor_file
-from longarm_comp.core.model import file_versions, model_file
+from longarm_comp.core.model import model_file
 from longarm_comp.workflows.train import TrainedPredictor
 
 _HASH = 12
@@ -43,12 +41,12 @@ def put_to_work(
         trained.save(new)
     else:
         new.unlink(missing_ok=True)  # of an earlier time that was taken back
-    file_versions.write_version(model, content)
+    model_file.write_version(model, content)
     finish_change(model, predictor)
     if aside is not None and trained is None:
         os.replace(predictor, aside)
     # Predictors of versions that `undo` no longer reaches
-    versions = [path for path in (model, file_versions.previous(model)) if path.is_file()]
+    versions = [path for path in (model, model_file.previous(model)) if path.is_file()]
     needed = {aside, *(_kept_as(predictor, file_hash(path)) for path in versions)}
     for path in predictor.parent.glob(f"{predictor.stem}.of_*{predictor.suffix}"):
         if _KEPT.search(path.stem) and path not in needed and _trained_with(path):
@@ -83,7 +81,7 @@ def undo(model: Path, predictor: Path | None = None) -> Path | None:
         names = sorted({p.with_name(_KEPT.sub("", p.stem) + p.suffix) for p in beside})
         discarded = file_hash(model) if model.is_file() else ""
         back = [name for name in names if finish_change(model, name)]
-        if not (back and not file_versions.previous(model).is_file()):
+        if not (back and not model_file.previous(model).is_file()):
             model_file.undo(model)
             back = [name for name in names if finish_change(model, name)]
             for name in names:
@@ -94,7 +92,7 @@ def undo(model: Path, predictor: Path | None = None) -> Path | None:
 
 def finish_change(model: Path, predictor: Path) -> bool:
     """Finish an interrupted change; return whether this puts a predictor that was kept to use."""
-    file_versions.settle(model)
+    model_file.settle(model)
     fits = _kept_as(predictor, file_hash(model)) if model.is_file() else None
     if fits is None or not fits.is_file():
         return False

@@ -1,7 +1,5 @@
 """Plans the poses to measure."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -29,8 +27,8 @@ from longarm_comp.core.planning.optimal_poses import (
     Measure,
     Uncertainty,
     choose_optimal_poses,
+    draw_touch_poses,
 )
-from longarm_comp.core.planning.touch_poses import draw_touch_poses
 from longarm_comp.sessions.poses import read_next_poses
 from longarm_comp.workflows import inputs
 

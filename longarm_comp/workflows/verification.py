@@ -1,7 +1,5 @@
 """Verifies at the tip that compensation helps: the same targets, driven without and with it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

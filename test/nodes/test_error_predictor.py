@@ -31,10 +31,9 @@ from longarm_comp.core.learn.predictor_file import load, save
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes import served_predictor
+from longarm_comp.nodes import predictor_client
 from longarm_comp.nodes.messages import joints_message
-from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient
-from longarm_comp.nodes.served_predictor import ServedPredictor
+from longarm_comp.nodes.predictor_client import NoAnswer, PredictorClient, ServedPredictor
 from longarm_interfaces.srv import Compensate, PredictError
 
 BIAS = np.array([0.002, -0.001, 0.004])
@@ -332,7 +331,7 @@ def test_a_file_that_cannot_be_read_here_is_asked_for(
     def refuse(path: str) -> str:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(served_predictor, "file_hash", refuse)
+    monkeypatch.setattr(predictor_client, "file_hash", refuse)
     assert ServedPredictor.find(told, arm) is None
     path.unlink()
     monkeypatch.undo()
@@ -351,7 +350,7 @@ def test_a_file_that_changes_while_it_is_read_is_read_again(
         save(last, path)
         return found
 
-    monkeypatch.setattr(served_predictor, "load", load_and_replace)
+    monkeypatch.setattr(predictor_client, "load", load_and_replace)
     found = ServedPredictor.read(str(path), arm)
     assert found.file_hash == file_hash(path)
     np.testing.assert_array_equal(found.predictor.weights, last.weights)

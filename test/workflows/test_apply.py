@@ -24,9 +24,8 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
 from longarm_comp.report import record
-from longarm_comp.workflows.apply import apply, take_back
+from longarm_comp.workflows.apply import apply, list_changes, take_back
 from longarm_comp.workflows.inputs import file_hash, load_predictor
-from longarm_comp.workflows.model_changes import list_changes
 from longarm_comp.workflows.model_in_use import undo
 from longarm_comp.workflows.train import TrainedPredictor
 

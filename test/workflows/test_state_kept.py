@@ -21,8 +21,7 @@ from longarm_comp.arm_folder.parameter_file import own_text
 from longarm_comp.core import files
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import atomic_paths, write_text, write_texts
-from longarm_comp.core.model.file_versions import previous
-from longarm_comp.core.model.model_file import read_stored
+from longarm_comp.core.model.model_file import previous, read_stored
 from longarm_comp.report.style import save
 from longarm_comp.sessions import table
 from longarm_comp.sessions.csv import write_csv

@@ -6,8 +6,6 @@ about 1e5 rad, and the polynomials of FDLIBM's ``__kernel_sin`` and ``__kernel_c
 Cephes' ``atan``.
 """
 
-from __future__ import annotations
-
 import math
 
 from longarm_comp.core.arm.spatial import Scalar, absolute, floor, maximum, minimum, where

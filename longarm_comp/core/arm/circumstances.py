@@ -1,7 +1,5 @@
 """The allowed range of each circumstance: from arm.yaml if declared there, else a default."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -4,8 +4,6 @@ Between two published poses the position is interpolated linearly and the orient
 Nothing is extrapolated.
 """
 
-from __future__ import annotations
-
 from bisect import bisect_left
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """One DH row of the declared arm: its geometry, limits, drive and couplings."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

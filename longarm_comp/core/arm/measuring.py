@@ -1,7 +1,5 @@
 """The declared means of measuring of `arm.yaml`: cameras, markers, anchors, sensors."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from pydantic import Field

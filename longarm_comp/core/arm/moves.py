@@ -1,7 +1,5 @@
 """Commands are moves: the side from which every joint arrives, and the run-up that it needs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

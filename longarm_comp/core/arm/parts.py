@@ -1,7 +1,5 @@
 """Declared parts of `arm.yaml` other than DH rows: placements, masses, beams, cylinders, boxes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cached_property

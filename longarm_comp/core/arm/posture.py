@@ -8,8 +8,6 @@ Only weight loads the arm.  So the load at a station follows from the mass m bey
 first moment S of this mass: ``force = m g`` and ``moment about p = (S - m p) x g``.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

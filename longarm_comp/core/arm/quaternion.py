@@ -4,8 +4,6 @@ Source: Diebel, Representing Attitude (2006), eqs. 125 and 290; Shepperd (1978) 
 keeps the inverse well conditioned.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

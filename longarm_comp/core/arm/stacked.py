@@ -1,7 +1,5 @@
 """Computes many similar items at once: NumPy takes as long for short arrays as for long ones."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 

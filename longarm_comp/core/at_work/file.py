@@ -4,8 +4,6 @@ It holds the model in use with its uncertainty, not the explanations that were s
 about the last sightings is not stored either: the model from before it is.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from contextlib import suppress
@@ -15,8 +13,8 @@ from typing import Literal
 from pydantic import Field
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.at_work.explanations import Named
 from longarm_comp.core.at_work.learner import STEP_M, Learner, Version
-from longarm_comp.core.at_work.named import Named
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_regular, follow_link, write_text
 from longarm_comp.core.model.model import Model

@@ -18,8 +18,7 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import Branch, Explanations
-from longarm_comp.core.at_work.named import Named, name_change
+from longarm_comp.core.at_work.explanations import Branch, Explanations, Named, name_change
 from longarm_comp.core.at_work.posterior import RecursivePosterior
 from longarm_comp.core.at_work.row import Row
 from longarm_comp.core.compensation.expected import expected_miss, structure_left

@@ -1,7 +1,5 @@
 """One sighting as the recursive posterior reads it: a linear equation of the parameters."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

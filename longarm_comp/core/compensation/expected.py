@@ -21,12 +21,11 @@ from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.ik.engines import posture_at, tip_poses
-from longarm_comp.core.model.alternatives import Alternative, list_told
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.tip_motion import stack
-from longarm_comp.core.model.uncertainty import ModelUncertainty, sizes
+from longarm_comp.core.model.uncertainty import Alternative, ModelUncertainty, list_told, sizes
 
 BY_HAND = math.radians(1.0)
 """Usual error of a joint's zero, rad, that was set by hand or by a servo horn. It holds for an arm

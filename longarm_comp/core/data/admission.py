@@ -4,8 +4,6 @@ An invalid session (millimetres, degrees, rows out of order) is refused with an 
 names the likely mistake.  A limitation of a valid one (a joint that never moved) is a finding.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections import Counter
 from collections.abc import Iterator

@@ -7,8 +7,6 @@ joint may spoil only the few rows in which it moves.  So every mistake is also t
 off the others, with the arm placed by the others.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

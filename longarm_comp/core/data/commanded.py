@@ -6,8 +6,6 @@ is sent.  `compute_tip_errors` uses all of it, and this module leaves it out (do
 seen and as commanded").
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

@@ -1,7 +1,5 @@
 """Held-out rows and resampled rows, both in whole blocks of successive poses."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.data.session import Session

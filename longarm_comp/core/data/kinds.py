@@ -3,8 +3,6 @@
 Fit, diagnosis and report use only channels and equations, so a new kind is one class here.
 """
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping

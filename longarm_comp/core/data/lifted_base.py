@@ -7,8 +7,6 @@ A ray gives two, each with a c perpendicular to the ray.  Distances to an anchor
 its position in the base (multilateration), and so three equations.  Orientations give R alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The measurements of a session's rows, of any kind, and the channels of their equations."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property

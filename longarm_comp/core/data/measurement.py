@@ -4,8 +4,6 @@ Every row has the session's d channels.  In channels that a row did not measure,
 columns are 0, so these equations have no influence in a least-squares problem.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from typing import Any

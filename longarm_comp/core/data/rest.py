@@ -3,8 +3,6 @@
 Sightings of one pose share the pose's model error, so only their mean is an independent sample.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ anywhere (`touch_place`).  Every other point of the group is placed relative to 
 before it (`touch_beside`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np

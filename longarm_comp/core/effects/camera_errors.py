@@ -1,7 +1,5 @@
 """Errors of a camera or tracker in the points that it measures."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -5,8 +5,6 @@ effect and its class.  A file of effects is executed when a user names it (`load
 model.yaml holds only names of effects, never code.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import re

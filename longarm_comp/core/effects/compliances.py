@@ -1,7 +1,5 @@
 """Parts that yield under load: joints, bearings, links, the base."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import ClassVar

@@ -5,8 +5,6 @@ one place.  A component is a twist, a wrench on the declared beams, a compliance
 `core/identify/discover` finds the terms; a model holds any number of them.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property

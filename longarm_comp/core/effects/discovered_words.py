@@ -1,7 +1,5 @@
 """Describes a discovered effect in words: a formula with units, and a physical cause like it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import floor, log10
 

@@ -1,7 +1,5 @@
 """Errors of a joint's motion per command: ratio, pitch, eccentric parts, guides, servos."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ treated like one of this folder (docs/add_an_effect.md).  Other names that its f
 `Context`, `Posture`, `Twists`, ...) may be imported from here too.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from abc import ABC, abstractmethod

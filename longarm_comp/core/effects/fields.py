@@ -1,7 +1,5 @@
 """Declarations of the fields of an effect: a fitted parameter, a place on the arm, or a form."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Sequence

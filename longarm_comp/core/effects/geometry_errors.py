@@ -1,7 +1,5 @@
 """Errors of the arm's geometry and of its encoders: rows, zeros, cylinder pins, readings."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from dataclasses import dataclass

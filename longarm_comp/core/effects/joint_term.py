@@ -1,7 +1,5 @@
 """Base classes of effects at one joint: its motion, its loads, its history."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Bending of the declared beams under their own weight and the weight that they carry."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar

@@ -1,7 +1,5 @@
 """Weight that differs from the declared one: in size, in place, or in direction."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

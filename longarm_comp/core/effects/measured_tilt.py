@@ -1,7 +1,5 @@
 """The tilt that an inclinometer measures, as an effect."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from typing_extensions import Self

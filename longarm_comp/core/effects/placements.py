@@ -1,7 +1,5 @@
 """Placements of base, tip, markers, sensors and anchors, which every calibration solves."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Parts with play or friction: each rests on the side to which a load or a motion pushed it."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar

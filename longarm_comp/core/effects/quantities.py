@@ -15,8 +15,6 @@
 | any other | a recorded column of that name: `t_s`, `pump_bar` | of the column |
 """
 
-from __future__ import annotations
-
 import re
 from abc import ABC, abstractmethod
 from dataclasses import dataclass

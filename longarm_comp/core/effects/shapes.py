@@ -6,8 +6,6 @@ gives the range of each quantity in the data; outside its range a quantity count
 Both texts are parsed as data and never executed as code.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import re

@@ -1,7 +1,5 @@
 """Lists of the places on an arm: the allowed values of an effect's `place` fields."""
 
-from __future__ import annotations
-
 from longarm_comp.core.arm.arm import Arm
 
 

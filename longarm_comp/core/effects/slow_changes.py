@@ -1,7 +1,5 @@
 """Changes with time and temperature."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Places of touched points and planes, which are solved from the touches."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Typical loads of an arm, in total and at each place; the priors of effects scale with them."""
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """Values in the units that people read: degrees, millimetres, per cent."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Mapping

@@ -20,8 +20,8 @@ from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import FoundEffect, keys_of
 from longarm_comp.core.identify.posterior.offer import UNLIKELY
-from longarm_comp.core.model.alternatives import Alternative
 from longarm_comp.core.model.model import slots_of
+from longarm_comp.core.model.uncertainty import Alternative
 
 MOST = 8
 """Largest number of alternatives, each of which every command computes; the likeliest stand for

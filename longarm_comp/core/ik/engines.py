@@ -4,8 +4,6 @@ Both return joints (N, n) and a report (N, 4): position residual (m), angle resi
 iterations, starts.  `tip_poses` and `posture_at` run the model alone by the same machine code.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar

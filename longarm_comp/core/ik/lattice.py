@@ -4,8 +4,6 @@ C. P. Schnorr and M. Euchner, Lattice basis reduction: improved practical algori
 subset sum problems, Mathematical Programming 66 (1994).
 """
 
-from __future__ import annotations
-
 import bisect
 import math
 

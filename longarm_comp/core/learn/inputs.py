@@ -14,8 +14,6 @@ warm-up is better described by the temperature. How far a joint came since its l
 input either: the physics models that.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

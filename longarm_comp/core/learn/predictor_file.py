@@ -4,8 +4,6 @@ An npz file holds the paper's networks. A network from outside the package needs
 code, so it has another format, safetensors: no program can take it for one of the paper's.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import io

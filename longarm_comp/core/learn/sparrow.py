@@ -27,8 +27,6 @@ Known weakness: the update is biased towards the origin and the diagonal (all co
 so as a general-purpose optimiser it loses to differential evolution on shifted problems.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

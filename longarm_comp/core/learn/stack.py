@@ -6,8 +6,6 @@ formed: each of its columns is one of the columns ``B = [x s, z, 1]`` (``z = tan
 outputs.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 from torch.func import functional_call, jacrev, vmap

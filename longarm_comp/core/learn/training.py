@@ -11,8 +11,6 @@ re-weighted least squares with ``u = (nu + k) / (nu + beta |r|^2)``; ``nu`` is p
 so clean data get ``u = 1`` (Gaussian) and no outlier threshold is needed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

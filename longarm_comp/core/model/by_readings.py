@@ -4,8 +4,6 @@ Effects before the encoders are in the readings already, and so left out.  A dri
 the readings equal to the commands: then this is the model of the commands too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.arm.posture import Posture, Twists

@@ -1,7 +1,5 @@
 """The model of an arm before any measurement."""
 
-from __future__ import annotations
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.drive_errors import ServoQuantisation
 from longarm_comp.core.effects.link_deflection import LinkDeflection

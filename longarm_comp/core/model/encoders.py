@@ -5,8 +5,6 @@ one at the joint what the gear does too.  An effect displaces a joint by its twi
 the joint's own axis, so readings need no physics of their own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 
 from longarm_comp.core.arm.arm import Arm

@@ -1,13 +1,13 @@
 """`model.yaml`: a calibrated model with units, intervals and the origin of every value.
 
-A change gives a new version. The previous file is kept beside it (`file_versions`), and `undo`
-restores it byte for byte.
+A change gives a new version. The previous file is kept beside it, and `undo` restores it byte for
+byte. An interruption loses neither. If the path is a symbolic link, both are beside the file that
+it leads to.
 """
-
-from __future__ import annotations
 
 import dataclasses
 import math
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
@@ -24,15 +24,66 @@ from longarm_comp.core.effects.catalogue import origin
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.shapes import Function
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.file_versions import previous, replace_file, settle, write_version
+from longarm_comp.core.files import follow_link, write_bytes
 from longarm_comp.core.model.model import Model
-from longarm_comp.core.model.stored_terms import StoredTerm, restore_term, store_term
-from longarm_comp.core.model.stored_uncertainty import (
+from longarm_comp.core.model.stored_parts import (
+    StoredTerm,
     StoredUncertainty,
+    restore_term,
     restore_uncertainty,
+    store_term,
     store_uncertainty,
 )
 from longarm_comp.core.yaml_file import Declared, parse_declared, read_yaml
+
+
+def write_version(path: str | Path, content: bytes) -> None:
+    """Write a model file's bytes atomically. An existing file becomes the previous version.
+
+    It is first copied to a third file, so that an interruption at any point loses no version.
+    """
+    path = Path(path)
+    settle(path)
+    if os.path.isfile(path):  # False in an unreadable folder; writing then raises
+        write_bytes(_beside(path, "before"), path.read_bytes())
+    write_bytes(path, content)
+    settle(path)
+
+
+def settle(path: str | Path) -> None:
+    """Finish a `write_version` that was interrupted.
+
+    The file that it had kept becomes the previous version, or is removed if nothing was replaced.
+    """
+    path = Path(path)
+    kept = _beside(path, "before")
+    if not os.path.isfile(kept):
+        return
+    if os.path.isfile(path) and path.read_bytes() == kept.read_bytes():  # nothing was replaced
+        kept.unlink()
+    else:
+        replace_file(kept, previous(path))
+
+
+def previous(path: str | Path) -> Path:
+    """Return the path of the previous version. Raises InputError where the path names no file."""
+    return _beside(path, "previous")
+
+
+def _beside(path: str | Path, what: str) -> Path:
+    path = follow_link(path)
+    if not path.name:
+        raise InputError(str(path), "model", "a folder", "a file")
+    return path.with_name(f"{path.stem}.{what}{path.suffix}")
+
+
+def replace_file(path: Path, to: str | Path) -> None:
+    """Move a file to the place of another. Raises InputError if it may not be replaced."""
+    try:
+        os.replace(path, follow_link(to))
+    except OSError as error:
+        raise InputError(str(to), "file", error.strerror, "a file that may be replaced") from error
+
 
 AS_DECLARED = 0
 """Version number of a file that holds the arm as declared, to which `undo` of the first change

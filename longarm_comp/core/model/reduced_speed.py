@@ -1,7 +1,5 @@
 """Times of a move when the speed limits of the driver are not known: the arm moves slowly."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.model.link_frames import outline

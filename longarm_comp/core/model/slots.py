@@ -1,7 +1,5 @@
 """The free parameters of a model, each with the term that holds it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

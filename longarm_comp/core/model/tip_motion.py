@@ -5,8 +5,6 @@ parameter of the measuring side changes what is reported of a tip that does not 
 measurement (`core/data/measurement.py`) makes its equations of both.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass

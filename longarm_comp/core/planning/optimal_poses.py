@@ -15,6 +15,8 @@ from typing import Literal
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.parts import Vec3
 from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.fit import fit_model
@@ -23,6 +25,7 @@ from longarm_comp.core.data.measurement import compute_posture, make_equations
 from longarm_comp.core.data.plan import Plan, at_levels, random_joints, uniform
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.ik.solver import solve_many
 from longarm_comp.core.model.model import Model
 
 Criterion = Literal["i-optimal", "d-optimal"]
@@ -336,3 +339,34 @@ def _rows(arm: Arm, plan: Plan, measure: Measure, read: Iterable[str] = ()) -> l
 def alternate_sides(n: int) -> np.ndarray:
     """Return (n,) sides of arrival, alternately from below (+1) and from above (-1)."""
     return np.where(np.arange(n) % 2 == 0, 1.0, -1.0)
+
+
+def draw_touch_poses(
+    model: Model, points: Mapping[str, Vec3], count: int, rng: np.random.Generator
+) -> Plan:
+    """Return poses at which the model's tip is at one of some points, from random starts.
+
+    Args:
+        points: approximate position of each point, m, base frame, by name.
+        count: number of starts for all points together; each point has at least two.
+
+    Raises:
+        InputError: no point, or one for which fewer than two poses were found.
+    """
+    if not points:
+        raise InputError("plan", "points", "none", "names and places (m) of points to touch")
+    model = model.told_by(Context())
+    parts, names = [], []
+    each = max(count // len(points), 2)
+    for name, place in points.items():
+        start = random_joints(model.arm, each, rng)
+        to = np.tile(place, (each, 1))
+        found = solve_many(model, to, seed=start, position_only=True, max_starts=1)
+        there = found.q[found.ok]
+        if len(there) < 2:
+            said = ", ".join(f"{v:g}" for v in place)
+            raise InputError("plan", f"point {name}", said, "a place (m) that the arm reaches")
+        parts.append(there)
+        names += [name] * len(there)
+    q = np.concatenate(parts)
+    return Plan(q, np.where(rng.random(q.shape) < 0.5, 1.0, -1.0), None, np.array(names))

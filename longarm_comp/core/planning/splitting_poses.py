@@ -1,7 +1,5 @@
 """Chooses the poses to measure next: those at which two explanations disagree most."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ Masses of beams are lumped at the ends of their elements.  Left out: rotary iner
 shear, and what weight adds to the stiffness.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property

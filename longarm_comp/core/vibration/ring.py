@@ -1,7 +1,5 @@
 """The ring (free vibration) that a move leaves at the tip, and the time until it is small."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The amplitudes are linear and eliminated (variable projection); waves are added 
 while each takes off far more than noise would.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

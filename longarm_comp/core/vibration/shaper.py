@@ -6,8 +6,6 @@ weights, none negative, leave the least vibration at the tip, by the modes all a
 for frequencies that may be wrong.  Source: Singer and Seering 1990.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

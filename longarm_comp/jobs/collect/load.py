@@ -1,7 +1,5 @@
 """The mass at the tool while a plan is measured: as the graph tells it, or as somebody answers."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

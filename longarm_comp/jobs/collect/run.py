@@ -4,8 +4,6 @@ A visit is written to the bag when it is complete, with a ``session_row`` messag
 index. So an interrupted session is readable, and `collect` can continue it.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time

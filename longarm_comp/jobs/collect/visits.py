@@ -1,7 +1,5 @@
 """The visits of a plan of poses, in driving order, and the checks of them before the arm moves."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

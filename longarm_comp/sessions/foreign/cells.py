@@ -3,8 +3,6 @@
 pandas and openpyxl parse the file. This module only decides what is a header, a number, a column.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import re

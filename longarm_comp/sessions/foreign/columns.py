@@ -1,7 +1,5 @@
 """Finds the session column that each column of another program's table stands for."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace

@@ -3,8 +3,6 @@
 It also makes rows of markers that stand side by side, and sorts rows by a column.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Collection, Sequence
 from dataclasses import replace

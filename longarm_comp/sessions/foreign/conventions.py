@@ -1,7 +1,5 @@
 """Finds the convention of measured orientations: the one that fits the tip of the arm's model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

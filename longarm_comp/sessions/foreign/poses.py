@@ -1,7 +1,5 @@
 """Finds the columns of a table that hold a marker's pose, by the names in `FORMS`; reads turns."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence

@@ -3,8 +3,6 @@
 Names, units and the kind of file are those of the table from which a session was imported.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re

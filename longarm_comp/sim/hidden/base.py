@@ -1,7 +1,5 @@
 """Interface of a hidden effect on the true arm."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace

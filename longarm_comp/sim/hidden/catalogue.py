@@ -1,7 +1,5 @@
 """Hidden effects by canonical name, at a typical size or scaled to a given one."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Hidden geometry errors."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from longarm_comp.sim.context import Array, State

@@ -1,7 +1,5 @@
 """Hidden compliances under the true load, and undeclared loads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

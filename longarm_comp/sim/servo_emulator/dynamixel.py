@@ -1,7 +1,5 @@
 """The emulated side of Dynamixel protocol 2.0, written from the maker's e-Manual (XL430-W250)."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from longarm_comp.sim.servo_emulator.motor import Motor

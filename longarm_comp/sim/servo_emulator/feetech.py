@@ -1,7 +1,5 @@
 """The emulated side of the Feetech STS protocol, written from the maker's memory table."""
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 from longarm_comp.sim.servo_emulator.motor import Motor

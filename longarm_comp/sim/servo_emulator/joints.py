@@ -4,8 +4,6 @@ They are read from the driver's configuration file, but converted by separate co
 driver, such as a wrong sign, then moves the simulated arm the wrong way and is noticed.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

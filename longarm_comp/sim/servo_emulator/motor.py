@@ -1,7 +1,5 @@
 """The mechanics of one emulated bus servo: speed limit, lag, dead band, droop, heat, protection."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

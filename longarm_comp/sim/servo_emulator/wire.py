@@ -1,7 +1,5 @@
 """Interface of an emulated protocol: instruction frames in, status frames out, registers."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from enum import IntEnum

@@ -1,7 +1,5 @@
 """The emulated protocols: of this package, and of entry points of the group `GROUP`."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from longarm_comp.core.entry_points import protocols_of_other_packages

@@ -43,8 +43,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
-from longarm_comp.core.planning.optimal_poses import Uncertainty
-from longarm_comp.core.planning.touch_poses import draw_touch_poses
+from longarm_comp.core.planning.optimal_poses import Uncertainty, draw_touch_poses
 from longarm_comp.sessions.csv import write_csv
 from longarm_comp.sessions.poses import read_poses, write_poses
 from longarm_comp.sim.arm_truth import TrueArm

@@ -15,7 +15,7 @@ from longarm_comp.core.compensation.sighting import VISITED, error_of_sighting, 
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.plays import FrictionHysteresis
-from longarm_comp.core.model.alternatives import Alternative
+from longarm_comp.core.model.uncertainty import Alternative
 
 VARIANCE = np.array([1e-8, 4e-6, 9e-6])
 GROWN = Discovered("joint 3", "turn z", "linear(q2)", "q2 -0.1..0.1", 0.01, 0.2)

@@ -27,12 +27,11 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.alternatives import MOST, weigh_alternatives
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.posterior.offer import UNLIKELY
-from longarm_comp.core.model.alternatives import Alternative
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import restore, store
-from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
+from longarm_comp.core.model.uncertainty import LEVEL, Alternative, ModelUncertainty, sizes
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import GearEccentricity as TrueEccentricity
 

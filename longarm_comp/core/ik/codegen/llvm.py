@@ -7,8 +7,6 @@ A product and a sum may be fused: results differ from those of Python in the las
 llvmlite compiles it.
 """
 
-from __future__ import annotations
-
 import ctypes
 import struct
 from collections.abc import Iterator, Mapping
