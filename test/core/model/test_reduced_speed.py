@@ -7,6 +7,8 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from small_arm import ARM
 
+from longarm_comp.core.effects.compliances import JointCompliance
+from longarm_comp.core.model import reduced_speed
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
@@ -35,3 +37,22 @@ def test_a_short_move_takes_its_least_time_and_a_turn_of_the_tool_takes_its_own(
     half = times_at_reduced_speed(Model(ARM), ARM.lower, ARM.upper[None], 0.5, 0.125)
     whole = times_at_reduced_speed(Model(ARM), ARM.lower, ARM.upper[None], 0.5, 0.0625)
     assert whole == pytest.approx(2.0 * half)
+
+
+def test_a_bound_replaces_the_outline_only_where_the_least_time_suffices(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    soft = [JointCompliance(row, 1e-3) for row in ARM.commanded if not ARM.slides[row - 1]]
+    model, rng = Model(ARM, tuple(soft)), np.random.default_rng(3)
+    sizes = np.geomspace(1e-4, 1.0, 25)[:, None, None]
+    ways = ARM.mid + 0.5 * sizes * (ARM.upper - ARM.lower) * rng.uniform(-1, 1, (25, 2, ARM.n))
+
+    def times() -> np.ndarray:
+        return np.array([times_at_reduced_speed(model, ARM.mid, way, 0.5) for way in ways])
+
+    fast = times()
+    with monkeypatch.context() as patch:
+        patch.setattr(reduced_speed, "most_motion", lambda model: np.full((1, ARM.n), np.inf))
+        np.testing.assert_array_equal(fast, times())
+    monkeypatch.delattr(reduced_speed, "outline")  # a short move needs none
+    assert times_at_reduced_speed(model, ARM.mid, ways[0], 0.5).tolist() == [0.5, 1.0]
