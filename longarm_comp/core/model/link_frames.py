@@ -205,6 +205,8 @@ def _bound_change(model: Model, bare: Model) -> np.ndarray:
     It is estimated as twice the largest value at 32 random postures.
     """
     arm = model.arm
+    if model.effects == bare.effects:
+        return np.zeros((len(_lines(model, arm.mid)) - 1, arm.n))
     here = np.random.default_rng(0).uniform(arm.lower, arm.upper, (32, arm.n))
     most = []
     for step in np.diag(1e-3 * (arm.upper - arm.lower)):
