@@ -28,6 +28,7 @@ class Echo(Node):
     def __init__(self, executor: SingleThreadedExecutor) -> None:
         super().__init__("echo")
         self.health = SimpleNamespace(fault=lambda error: self.get_logger().error(str(error)))
+        self.exit_code = 0
         self._out = self.create_publisher(JointTrajectory, "echo_trajectory", QoSProfile(depth=100))
         self.create_subscription(PoseStamped, "echo_target", self._on_target, QoSProfile(depth=100))
         self.create_service(

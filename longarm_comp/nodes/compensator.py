@@ -19,7 +19,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.link_frames import describe_entry
+from longarm_comp.core.model.link_frames import describe_entry, most_motion
 from longarm_comp.nodes.answers import Answer, Refusal, TargetRequest, target_of
 from longarm_comp.nodes.arm_state import MAX_CORRECTION, ArmState
 from longarm_comp.nodes.clock import stamp_ns, steady_timer
@@ -66,6 +66,8 @@ class Compensator:
 
     def rehearse(self) -> None:
         """Compute the target at the middle of the joint ranges, to compile what targets need."""
+        if not self._state.driver.acknowledged:  # the times of its orders need it
+            most_motion(self._files.loaded.model.commandable)
         mid = self._files.arm.mid
         seed = joints_message(self._files.arm, mid)
         frame = Header(frame_id=self._base_frame)

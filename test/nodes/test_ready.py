@@ -132,6 +132,14 @@ def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
     assert not client.answers
 
 
+def test_the_first_order_of_another_driver_waits_for_nothing(
+    stage: Bench, demo_arm_path: Path
+) -> None:
+    with kinematics_inside(arm=demo_arm_path, acknowledged="false", method="deflection") as node:
+        kept = node._arm.files.loaded.model.commandable.memo
+        stage.spin(lambda: "most_motion" in kept)
+
+
 @pytest.fixture
 def inside(stage: Bench, demo_arm_path: Path) -> Iterator[Kinematics]:
     """The node in this process, on a clock that the test tells."""

@@ -9,6 +9,7 @@ first moment S of this mass: ``force = m g`` and ``moment about p = (S - m p) x 
 """
 
 import itertools
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -195,13 +196,13 @@ class Chain:
             if joint.type == "fixed" and joint.pose is not None:
                 frame = deflect(frame @ joint.pose.frame(), row.bearing)
             else:
-                theta: Scalar = float(np.radians(joint.theta_offset_deg))
+                theta: Scalar = math.radians(joint.theta_offset_deg)
                 d: Scalar = joint.d_m
                 if joint.type == "revolute":
                     theta = theta + value
                 elif joint.type == "prismatic":
                     d = d + value
-                frame = frame.turned_x(float(np.radians(joint.alpha_deg)))
+                frame = frame.turned_x(math.radians(joint.alpha_deg))
                 frame = run(frame, row.elements_a, 0, joint.a_m)
                 frame = deflect(frame.turned_z(theta), row.bearing)
                 frame = run(frame, row.elements_d, 2, d)

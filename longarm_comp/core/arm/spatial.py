@@ -100,7 +100,7 @@ class Frame(NamedTuple):
 
     def along(self, axis: int, length: Scalar) -> Frame:
         """Return this frame moved by `length` (m) along its own axis 0, 1 or 2."""
-        return self._replace(p=add(self.p, scale(length, self[axis])))
+        return Frame(self.n, self.o, self.a, add(self.p, scale(length, self[axis])))
 
     def turned_x(self, angle: float) -> Frame:
         """Return this frame turned by `angle` (rad) about its own x axis."""
@@ -108,7 +108,7 @@ class Frame(NamedTuple):
             return self
         c, s = _exact_cos_sin(angle)
         o = add(scale(c, self.o), scale(s, self.a))
-        return self._replace(o=o, a=sub(scale(c, self.a), scale(s, self.o)))
+        return Frame(self.n, o, sub(scale(c, self.a), scale(s, self.o)), self.p)
 
     def turned_z(self, angle: Scalar) -> Frame:
         """Return this frame turned by `angle` (rad) about its own z axis."""
@@ -116,7 +116,7 @@ class Frame(NamedTuple):
             return self
         c, s = _exact_cos_sin(angle) if type(angle) is float else (cos(angle), sin(angle))
         n = add(scale(c, self.n), scale(s, self.o))
-        return self._replace(n=n, o=sub(scale(c, self.o), scale(s, self.n)))
+        return Frame(n, sub(scale(c, self.o), scale(s, self.n)), self.a, self.p)
 
     def __matmul__(self, other: Frame) -> Frame:
         """Return the frame `other`, given in this frame, in the parent frame."""

@@ -16,7 +16,7 @@ def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
-        if any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
+        if not _all_floats(item) and any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
             zeros = tuple(map(_zero, item))
             kinds.setdefault(zeros, []).append(key)
         else:
@@ -41,6 +41,10 @@ def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
     return tuple(made)
 
 
+def _all_floats(scalars: tuple[Scalar, ...]) -> bool:
+    return set(map(type, scalars)) == {float}
+
+
 def _zero(x: Scalar) -> bool:
     return type(x) is float and x == 0.0
 
@@ -53,6 +57,8 @@ def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
 
 def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
     """Return the scalars of item `row` of a group that `stack_alike` yields."""
+    if _all_floats(scalars):
+        return scalars
     return tuple(
         [
             (x[row] if x.shape[1] > 1 else float(x[row, 0]))

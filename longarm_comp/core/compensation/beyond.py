@@ -17,8 +17,9 @@ from longarm_comp.core.arm.context import INCLINATION, Context, is_told
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
-from longarm_comp.core.model.tip_motion import stack
+from longarm_comp.core.ik.columns import tip_and_columns
+from longarm_comp.core.ik.engines import posture_at, tip_poses
+from longarm_comp.core.model.model import Model, Slot, slots_of
 from longarm_comp.core.model.uncertainty import YIELDS
 
 KNOWN_TO = 0.2
@@ -116,7 +117,7 @@ def outside_data(model: Model, q: np.ndarray, context: Context) -> tuple[np.ndar
     found = [effect for effect in model.effects if isinstance(effect, Discovered)]
     if not found:
         return np.zeros((len(q), 3)), [""] * len(q)
-    posture = model.posture(unstack(q), context)
+    posture = posture_at(model, q, context)
     named = zip(*(effect.outside(posture) for effect in found), strict=True)
     parts = [sorted({part for each in row for part in each}) for row in named]
     if not any(parts):
@@ -144,9 +145,10 @@ def _doubt_of_change(
         one_load: whether the payload changed and was the same in all rows. Then the rows do not
             tell which causes without a name depend on it, so all of them count.
     """
-    there, here = (model.posture(unstack(q), c) for c in (context, edge))
     nameless = [e for e in model.effects if isinstance(e, Discovered)]
     felt = set()
+    if nameless:
+        there, here = (posture_at(model, q, c) for c in (context, edge))
     for effect in nameless:
         pairs = [(quantity.read(there), quantity.read(here)) for quantity in effect.of.quantities]
         mine, other = effect.twists(there), effect.twists(here)
@@ -154,8 +156,8 @@ def _doubt_of_change(
         alike = all(np.allclose(a, b, rtol=_ROUNDING, atol=0.0) for a, b in pairs)
         if one_load or not alike:
             felt.add(effect.key)
-    whole = stack(model.tip_frame(here).p)
-    moved = stack(model.tip_frame(there).p) - whole
+    whole = tip_poses(model, q, edge)[:, :3, 3]
+    moved = tip_poses(model, q, context)[:, :3, 3] - whole
     ratio = np.zeros(len(q))
     if felt:
         named, bare = (
@@ -171,11 +173,12 @@ def _doubt_of_change(
 
     def moves(slots: Sequence[Slot], sizes: np.ndarray) -> np.ndarray:
         """Compute the variance (M, 3), m^2, of the change by parameters of these sizes."""
-        columns = model.columns(there, slots)[1] - model.columns(here, slots)[1]
+        there, here = (tip_and_columns(model, q, c, slots)[1] for c in (context, edge))
+        columns = there - here
         return np.asarray(((columns * sizes) ** 2).sum(axis=-1))
 
-    every = _list_absent_effects(model, context)
-    rest = moves(*_size_slots(model, every)) if every else np.zeros((len(q), 3))
+    every, slots, sizes = _list_absent(model, context)
+    rest = moves(slots, sizes) if slots else np.zeros((len(q), 3))
     for absent in every:
         if not absent.parameters(model.arm):  # it follows from the reading alone, as tilt does
             there_with, here_with = (model.plus(absent).tip(q, c) for c in (context, edge))
@@ -219,10 +222,18 @@ def absent_slots(model: Model, context: Context) -> tuple[tuple[Slot, ...], np.n
         The parameters, and the size (k,) that each may have: one prior standard deviation, times
         `YIELDS` for an elastic effect.
     """
-    return _size_slots(model, _list_absent_effects(model, context))
+    return _list_absent(model, context)[1:]
 
 
-def _size_slots(model: Model, absent: list[Effect]) -> tuple[tuple[Slot, ...], np.ndarray]:
-    slots = slots_of(model.arm, absent)
-    sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
-    return slots, np.array(sizes)
+def _list_absent(
+    model: Model, context: Context
+) -> tuple[list[Effect], tuple[Slot, ...], np.ndarray]:
+    """Return the effects of `_list_absent_effects`, then `absent_slots`; kept with the model."""
+    name = f"absent {sorted((*context.columns, *context.labels))}"
+    if name not in model.memo:
+        effects = _list_absent_effects(model, context)
+        slots = slots_of(model.arm, effects)
+        sizes = [s.parameter.width * (YIELDS if s.owner.elastic else 1.0) for s in slots]
+        model.memo[name] = effects, slots, np.array(sizes)
+    held: tuple[list[Effect], tuple[Slot, ...], np.ndarray] = model.memo[name]
+    return held

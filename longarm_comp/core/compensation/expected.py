@@ -20,11 +20,11 @@ from longarm_comp.core.compensation.beyond import absent_slots
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
-from longarm_comp.core.ik.engines import posture_at, tip_poses
+from longarm_comp.core.ik.columns import tip_and_columns
+from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model, Slot, slots_of
-from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import Alternative, ModelUncertainty, list_told, sizes
 
 BY_HAND = math.radians(1.0)
@@ -101,12 +101,11 @@ def expected_miss(
         variance = np.full(pseudo.shape, np.nan) if learned is None else learned**2
         covariance = variance[..., None] * np.eye(3)
         return ExpectedMiss(tip.reshape(pseudo.shape) - pseudo, covariance)
-    at = posture_at(model, q, context)
-    mean = stack(model.tip_frame(at).p) - pseudo
     if known is None:
         assert declared is not None
         slots, widths = declared
-        moved = model.columns(at, slots)[1].reshape(-1, 3, len(slots)) * widths
+        tip, columns = tip_and_columns(model, q, context, slots)
+        mean, moved = tip - pseudo, columns * widths
         covariance = moved @ np.swapaxes(moved, -1, -2)
         return ExpectedMiss(mean, covariance.reshape(*mean.shape, 3))
     if "uncertain" not in model.memo:
@@ -114,7 +113,8 @@ def expected_miss(
     slots = model.memo["uncertain"]
     others = list_told(known.alternatives, context)
     more, chance, moves = _alternative_slots(model, others)
-    columns = model.columns(at, (*slots, *more))[1].reshape(-1, 3, len(slots) + len(more))
+    tip, columns = tip_and_columns(model, q, context, (*slots, *more))
+    mean = tip - pseudo
     carried = known.carry_to_tip(columns, [slot.identity for slot in (*slots, *more)])
     carried = carried.reshape(*mean.shape, 3)
     apart, *ways = np.einsum("nip,kap->kani", columns, moves).reshape(

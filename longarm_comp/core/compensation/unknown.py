@@ -134,11 +134,11 @@ def moved_by_payload(model: Model, q: np.ndarray, context: Context) -> np.ndarra
     if not sd.any():
         return np.zeros((len(q), 3))
     columns, kg = context.columns, context.payload_kg(0.0)
-    tips = [
-        model.tip(q, dataclasses.replace(context, columns={**columns, "payload_kg": kg + by}))
-        for by in (sd, -sd)
-    ]
-    return np.asarray((tips[0] - tips[1]) / 2.0)
+    heavier, lighter = (
+        dataclasses.replace(context, columns={**columns, "payload_kg": kg + by}) for by in (sd, -sd)
+    )
+    change = tip_poses(model, q, heavier) - tip_poses(model, q, lighter)
+    return np.asarray(change[:, :3, 3] / 2.0)
 
 
 def _find_extremes(

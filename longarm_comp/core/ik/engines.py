@@ -32,17 +32,18 @@ class Engine(Enum):
     MODEL = "the model's own code: what machine code is checked against"
 
 
-_AT_ONCE: ContextVar[bool] = ContextVar("compile_at_once", default=False)
+AT_ONCE: ContextVar[bool] = ContextVar("compile_at_once", default=False)
+"""Whether to compile at the first use (`compile_at_once`)."""
 
 
 @contextmanager
 def compile_at_once() -> Iterator[None]:
     """Compile every model at its first solve within this ``with`` block; each takes a second."""
-    token = _AT_ONCE.set(True)
+    token = AT_ONCE.set(True)
     try:
         yield
     finally:
-        _AT_ONCE.reset(token)
+        AT_ONCE.reset(token)
 
 
 def warm_up(model: Model, context: Context | None = None) -> None:
@@ -120,7 +121,7 @@ def _worth_compiling(model: Model, layout: Layout, count: int) -> bool:
     kernel = kernel_of(model, layout)
     # workload of a batch, in single targets
     kernel.workload += min(count, _FEW + count / 160)
-    return _AT_ONCE.get() or kernel.is_compiled or kernel.workload > 60
+    return AT_ONCE.get() or kernel.is_compiled or kernel.workload > 60
 
 
 _Given = dict[str, np.ndarray]
@@ -241,10 +242,10 @@ def tip_poses(model: Model, q: np.ndarray, context: Context | None = None) -> np
         (M, 4, 4), base frame.
     """
     context = context or Context()
-    kernel = _compiled_kernel(model, context)
+    kernel = compiled_kernel(model, context)
     if kernel is None or not len(q):
         return model.pose(q, context)
-    out = _evaluate(kernel, q, context, "out")
+    (out,) = evaluate(kernel, q, context, "out")
     poses = np.zeros((len(q), 4, 4))
     poses[:, :3, 3] = out[:, :3]
     poses[:, :3, :3] = out[:, 3:12].reshape(-1, 3, 3).swapaxes(1, 2)
@@ -257,26 +258,27 @@ def posture_at(model: Model, q: np.ndarray, context: Context) -> Posture:
 
     If the model is compiled, machine code runs the load passes.
     """
-    rows, kernel = np.atleast_2d(q), _compiled_kernel(model, context)
+    rows, kernel = np.atleast_2d(q), compiled_kernel(model, context)
     if kernel is None or not len(rows):
         return model.posture(unstack(q), context)
-    x = _evaluate(kernel, rows, context, "x")
+    (x,) = evaluate(kernel, rows, context, "x")
     carried = np.ascontiguousarray(x.T) if q.ndim == 2 else x[0].tolist()
     return model.posture_with_twists(unstack(q), context, kernel.row.twists(carried))
 
 
-def _compiled_kernel(model: Model, context: Context) -> Kernel | None:
+def compiled_kernel(model: Model, context: Context) -> Kernel | None:
+    """Return the kernel of a model for a context if it is compiled already."""
     layout = context.layout
     kernel = kept_kernels(model).get(layout) if layout.traceable else None
     return kernel if kernel is not None and kernel.is_compiled else None
 
 
-def _evaluate(kernel: Kernel, q: np.ndarray, context: Context, name: str) -> np.ndarray:
-    """Evaluate the model at joints (M, n); return a quantity of the state by its name, (M, k)."""
+def evaluate(kernel: Kernel, q: np.ndarray, context: Context, *names: str) -> list[np.ndarray]:
+    """Evaluate the model at joints (M, n); return quantities of the state by name, (M, k) each."""
     c = kernel.layout.pack(context, len(q))
     blocks = fill_blocks(kernel, {"trial": q, "c": c}, len(q))
     kernel.code.function("many_evaluate")(blocks.ctypes.data, len(blocks))
-    return rows_of(blocks, kernel, name, len(q))
+    return [rows_of(blocks, kernel, name, len(q)) for name in names]
 
 
 @cache

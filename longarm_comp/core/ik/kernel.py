@@ -179,12 +179,27 @@ class Kernel:
         `search3` and `search6` start from joints q, `solve3` and `solve6` from a seed and a matrix;
         `evaluate` is the model itself at the trial joints.
         """
-        if self._code is not None:
-            return self._code
+        if self._code is None:
+            self._code = self._compile()
+        return self._code
+
+    def _compile(self) -> Any:
+        evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
+        flows: dict[str, newton.Flow] = {"evaluate": evaluate}
+        for m in (3, 6):
+            search = newton.flow(self.passes, m)
+            flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
+        return self._compile_works(
+            works(self._model, lambda s: self.layout.unpack(s["c"]), self.row), flows
+        )
+
+    def _compile_works(
+        self, made: dict[str, Work], flows: dict[str, newton.Flow], level: int = 1
+    ) -> Any:
+        """Trace programs, and compile them with flows of them; `level` as in `compile_module`."""
         from longarm_comp.core.ik.codegen import llvm
 
         width = llvm.count_lanes()
-        made = works(self._model, lambda s: self.layout.unpack(s["c"]), self.row)
         programs: dict[str, Program] = {}
         for name, work in made.items():
             graph = Graph()
@@ -196,14 +211,8 @@ class Kernel:
                 if value is not state[part][k]  # unchanged values need no writing
             }
             programs[name] = graph, outputs
-        evaluate = newton.evaluation(newton.LEVELS[-1], self.passes, True)
-        flows: dict[str, newton.Flow] = {"evaluate": evaluate}
-        for m in (3, 6):
-            search = newton.flow(self.passes, m)
-            flows |= {f"search{m}": search, f"solve{m}": (f"accept{m}", *search)}
         text = llvm.write_module(programs, flows, self.place, width)
-        self._code = llvm.compile_module(text, width)
-        return self._code
+        return llvm.compile_module(text, width, level)
 
 
 def tip_and_jacobian(model: Model, posture: Posture) -> list[Any]:
@@ -227,7 +236,8 @@ def characteristic_length(model: Model) -> float:
 
 
 MOST_KERNELS = 8
-"""Number of kernels kept, the last used ones: four models with two layouts each. One takes 2 MB."""
+"""Number of kernels kept, the last used ones: four models with two layouts each. One takes 2 MB,
+and 2 MB with its columns."""
 _kernels: OrderedDict[tuple[Any, ...], Kernel] = OrderedDict()
 
 

@@ -170,8 +170,16 @@ def most_motion(model: Model) -> np.ndarray:
     The last part is the tip alone.
     """
     if "most_motion" not in model.memo:
-        model.memo["most_motion"] = (_turning(model) + _sagging(model))[1:]
+        model.memo["most_motion"] = _turning(model)[1:] + _bound_change(model, model.with_terms(()))
     found: np.ndarray = model.memo["most_motion"]
+    return found
+
+
+def most_sagging(model: Model) -> np.ndarray:
+    """Return (parts, n), m: the part of `most_motion` by which the sag changes."""
+    if "most_sagging" not in model.memo:
+        model.memo["most_sagging"] = _bound_change(model, model.rigid)
+    found: np.ndarray = model.memo["most_sagging"]
     return found
 
 
@@ -191,18 +199,20 @@ def _turning(model: Model) -> np.ndarray:
     return far
 
 
-def _sagging(model: Model) -> np.ndarray:
-    """Return (points of the line, n): what sag adds to `most_motion`.
+def _bound_change(model: Model, bare: Model) -> np.ndarray:
+    """Return (parts, n): how much farther than those of another model the parts move at most.
 
     It is estimated as twice the largest value at 32 random postures.
     """
-    arm, bare = model.arm, model.with_terms(())
+    arm = model.arm
+    if model.effects == bare.effects:
+        return np.zeros((len(_lines(model, arm.mid)) - 1, arm.n))
     here = np.random.default_rng(0).uniform(arm.lower, arm.upper, (32, arm.n))
     most = []
     for step in np.diag(1e-3 * (arm.upper - arm.lower)):
         before, after = (_lines(model, q) - _lines(bare, q) for q in (here, here + step))
         most.append(np.linalg.norm(after - before, axis=-1).max(axis=0) / step.max())
-    return np.maximum.accumulate(2.0 * np.array(most).T, axis=0)
+    return np.maximum.accumulate(2.0 * np.array(most).T, axis=0)[1:]
 
 
 def keeper(model: Model, names: list[str], where: str) -> Callable[[np.ndarray], str] | None:

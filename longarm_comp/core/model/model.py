@@ -313,7 +313,11 @@ class Model:
         Args:
             turns: compute the rotation of the tip's axes too.
         """
-        slots = self.slots if slots is None else slots
+        ends = self.list_changes(posture, self.slots if slots is None else slots)
+        return self._move_tip(posture, ends, turns)
+
+    def list_changes(self, posture: Posture, slots: Sequence[Slot]) -> list[TwistChange | Reseen]:
+        """Return the change at a posture per unit of each parameter, by central differences."""
         ends: list[TwistChange | Reseen] = []
         for slot in slots:
             term, per = slot.owner, 0.5 / slot.step
@@ -325,7 +329,7 @@ class Model:
             else:
                 up, down = ([(term, end.twists(posture))] for end in slot.ends)
                 ends.append(TwistChange(up, down, per))
-        return self._move_tip(posture, ends, turns)
+        return ends
 
     def motion_with(
         self, posture: Posture, terms: Sequence[Effect | Bias], turns: bool = False

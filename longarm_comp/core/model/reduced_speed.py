@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from longarm_comp.core.model.link_frames import outline
+from longarm_comp.core.model.link_frames import most_motion, most_sagging, outline
 from longarm_comp.core.model.model import Model
 
 REDUCED_SPEED = 0.25
@@ -24,7 +24,8 @@ def times_at_reduced_speed(
 ) -> np.ndarray:
     """Return the times of way-points at which no part of the arm moves faster than a speed.
 
-    The arm stops at every way-point; between them its joints follow cubics in time.
+    The arm stops at every way-point; between them its joints follow cubics in time.  The speed is
+    bounded: of the arm without sag it is computed, and the most that sag adds to it.
 
     Args:
         start: (n,) joints now, rad and m.
@@ -35,9 +36,15 @@ def times_at_reduced_speed(
     Returns:
         (k,) seconds from the start.
     """
+    model = model.commandable  # a servo's rounding is no motion on the way
     ends = np.concatenate([start[None], points])
-    ways = np.linspace(ends[:-1], ends[1:], _PIECES + 1, axis=1)
-    line = outline(model, ways.reshape(-1, len(start))).reshape(*ways.shape[:2], -1, 3)
-    moved = _PIECES * np.linalg.norm(np.diff(line, axis=1), axis=-1).max(axis=(1, 2), initial=0.0)
-    turned = np.abs(np.where(model.arm.slides, 0.0, np.diff(ends, axis=0))).max(axis=1)
+    turns = np.abs(np.diff(ends, axis=0))
+    moved = (turns @ most_motion(model).T).max(axis=1)  # it is enough for short moves
+    if (_PEAK * moved > least_s * speed).any():
+        ways = np.linspace(ends[:-1], ends[1:], _PIECES + 1, axis=1)
+        line = outline(model.rigid, ways.reshape(-1, len(start))).reshape(*ways.shape[:2], -1, 3)
+        steps = np.linalg.norm(np.diff(line, axis=1), axis=-1)
+        moved = _PIECES * steps.max(axis=(1, 2), initial=0.0)
+        moved += (turns @ most_sagging(model).T).max(axis=1)
+    turned = np.where(model.arm.slides, 0.0, turns).max(axis=1)
     return np.cumsum(np.maximum(least_s, _PEAK * np.maximum(moved / speed, turned / _TURNING)))

@@ -16,7 +16,7 @@ import numpy as np
 from longarm_comp.core.arm import spatial, stacked
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Posture
-from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Vec
+from longarm_comp.core.arm.spatial import IDENTITY, Frame, Scalar, Twist, Vec
 from longarm_comp.core.model import encoders
 from longarm_comp.core.model.encoders import Parts
 
@@ -191,13 +191,29 @@ def move_tip(posture: Posture, tip: Vec, ends: Sequence[TwistChange], turns: boo
         turns: compute the rotation of the axes too; else it is 0.
     """
     changes = [list(_changes(e)) for e in ends]
-    units = _units(posture, tip, {station for each in changes for station, *_ in each})
+    units = _all_units(posture, tip, {station for each in changes for station, *_ in each})
     made = []
     for each in changes:
         shifts = [by * units[station][k] for station, k, by in each]
         turned = [by * units[station][k - 3] for station, k, by in each if turns and k >= 3]
         summed = (tuple(sum(v[1:], v[0])) if v else spatial.ZERO for v in (shifts, turned))
         made.append(_Moved(*summed))  # type: ignore[arg-type]
+    return made
+
+
+def trace_shifts(posture: Posture, tip: Vec, ends: Sequence[TwistChange]) -> list[Vec]:
+    """Return the shifts of `move_tip` in scalars of any kind, such as traced numbers."""
+    units: dict[int, list[Vec]] = {}
+    made = []
+    for end in ends:
+        shift = spatial.ZERO
+        for station, k, by in _changes(end):
+            if station not in units:
+                twist = posture.twists.get(station, spatial.ZERO_TWIST)
+                large = station == PLACEMENT
+                units[station] = _units(twist, posture.frames[station], tip, large)
+            shift = spatial.add(shift, spatial.scale(by, units[station][k]))
+        made.append(shift)
     return made
 
 
@@ -215,14 +231,24 @@ def _changes(end: TwistChange) -> Iterator[tuple[int, int, Scalar]]:
                 yield station, k, end.per * (a - b)
 
 
-def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, np.ndarray]:
-    """Return how a unit of each component of a station's twist moves the tip; kept per posture.
+def _units(twist: Twist, frame: Frame, tip: Vec, large: bool) -> list[Vec]:
+    """Return how a unit of each component of a station's twist moves the tip, base frame.
 
-    Returns:
-        (6, 3, ...) by station. The first three are the shift of the tip by a unit translation,
-        which is also the rotation of its axes by a unit rotation. The others are its shift by a
-        unit rotation.
+    The first three vectors are the shift of the tip by a unit translation, which is also the
+    rotation of its axes by a unit rotation. The others are its shift by a unit rotation.
+
+    Args:
+        twist, frame: of the station.
+        tip: position of the tip, base frame, m.
+        large: whether the twist may be large.
     """
+    here = frame.unrotate(spatial.sub(tip, frame.p))
+    turns, shifts = spatial.tangent(twist, here, large)
+    return [frame.rotate(unit) for unit in (*turns, *shifts)]
+
+
+def _all_units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, np.ndarray]:
+    """Return the `_units` of stations, (6, 3, ...) each; computed together, kept per posture."""
     shape = np.broadcast_shapes(*map(np.shape, tip))
     made: dict[int, np.ndarray] = posture.once(("units",), dict)
     size = math.prod(shape)
@@ -233,11 +259,9 @@ def _units(posture: Posture, tip: Vec, stations: Collection[int]) -> dict[int, n
             [(*t, *f.n, *f.o, *f.a, *f.p) for t, f in zip(twists, frames, strict=True)]
         )
         frame = Frame(x[6:9], x[9:12], x[12:15], x[15:])
-        here = frame.unrotate(spatial.sub(tip, frame.p))
-        turns, shifts = spatial.tangent(x[:6], here, PLACEMENT in some)
         moves = np.empty((len(some), 6, 3, size))
-        for k, unit in enumerate((*turns, *shifts)):
-            for axis, value in enumerate(frame.rotate(unit)):
+        for k, moved in enumerate(_units(x[:6], frame, tip, PLACEMENT in some)):
+            for axis, value in enumerate(moved):
                 moves[:, k, axis] = value
         made |= zip(some, moves.reshape(-1, 6, 3, *shape), strict=True)
     return made

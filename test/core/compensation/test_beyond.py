@@ -14,9 +14,16 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.uncertainty import FRAME, with_uncertainty
-from longarm_comp.core.compensation.beyond import KNOWN_TO, beyond_session
+from longarm_comp.core.compensation.beyond import (
+    KNOWN_TO,
+    absent_slots,
+    beyond_session,
+    outside_data,
+)
 from longarm_comp.core.compensation.compensate import compensate
 from longarm_comp.core.compensation.expected import ExpectedMiss
+from longarm_comp.core.compensation.unknown import unknown_circumstances
+from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.data.plan import sobol
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift
@@ -25,6 +32,7 @@ from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.slow_changes import BaseSettling
+from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
@@ -151,6 +159,30 @@ def test_the_command_says_it_and_promises_less(tmp_path: Path) -> None:
         near, far = (compensate(each, None, target, context=at(kg))[0] for kg in (OWN_KG, 3.0))
         assert "beyond the session" in far.reason and "beyond" not in near.reason
         assert far.p90_m > 2.0 * near.p90_m
+
+
+RISING = Discovered("joint 3", "turn z", "linear(q2)", "q2 -0.1..0.1", 0.1, 0.2)
+
+
+@pytest.mark.parametrize("effects", [(), (SOFT,), (SOFT, RISING)])
+def test_machine_code_says_the_same_of_a_load(
+    effects: tuple[Effect, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No load pass and no column is computed by the model's own code, if all causes have names."""
+    model = learned(*effects, temperature_c=np.full(60, 20.0))
+    heavy = Context(columns={"payload_kg": OWN_KG + 1.0, SD: 0.1, "temperature_c": 20.0})
+    own = [f(model, Q, heavy) for f in (unknown_circumstances, outside_data)]
+    assert len(absent_slots(model, heavy)[0]) > len(absent_slots(model, at(OWN_KG))[0])
+    ik.warm_up(model, heavy)
+    with ik.compile_at_once():
+        unknown_circumstances(model, Q, heavy)
+    for name in () if RISING in effects else ("_pass_loads", "motion"):
+        monkeypatch.delattr(Model, name)
+    for (spread, why), (by_own, said) in zip(
+        [f(model, Q, heavy) for f in (unknown_circumstances, outside_data)], own, strict=True
+    ):
+        np.testing.assert_allclose(spread, by_own, rtol=1e-6, atol=1e-12)
+        assert why == said
 
 
 def test_a_model_of_before_says_nothing_of_its_session() -> None:

@@ -15,14 +15,17 @@ from longarm_comp.core.arm import angles, spatial
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.effects.catalogue import BUILT_IN
-from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.ik import newton
+from longarm_comp.core.ik.codegen import Compiled
 from longarm_comp.core.ik.codegen.llvm import compile_module, write_module
 from longarm_comp.core.ik.codegen.symbolic import Graph, Symbol
+from longarm_comp.core.ik.columns import tip_and_columns
+from longarm_comp.core.ik.engines import compile_at_once
 from longarm_comp.core.ik.kernel import MOST_KERNELS, Kernel, kernel_of, tip_and_jacobian, works
-from longarm_comp.core.model.model import Model
+from longarm_comp.core.model.model import Model, slots_of, unstack
 
 
 def situation(arm: Arm) -> tuple[np.ndarray, Context]:
@@ -161,6 +164,55 @@ def test_context_is_an_input_not_a_constant(arm):
         rows = kernel.layout.pack(some, N)
         made = evaluated(kernel, q, rows)
         np.testing.assert_allclose(made, by_the_model(model, q, some), rtol=0, atol=1e-12)
+
+
+def biases(arm: Arm) -> list[Bias]:
+    rng = np.random.default_rng(8)
+    terms = [term for kind in BUILT_IN.values() for term in kind.for_arm(arm)]
+    return [valued(term, rng) for term in terms if isinstance(term, Bias)]
+
+
+def test_columns_in_machine_code_are_the_models_own(arm):
+    """Of every effect's parameters, held by the model or absent, at many postures and at one."""
+    q, context = situation(arm)
+    every = everything(arm)
+    slots = slots_of(arm, every.effects)
+    here = [
+        term.with_values({p.name: 1.5 for p in term.declared()}) if term.seen_only else term
+        for k, term in enumerate(every.effects)  # the base is far off, some loads are absent
+        if k % 3 or not term.changes_loads
+    ]
+    model = Model(arm, tuple(here), tuple(biases(arm)))
+    assert len(here) < len(every.effects)
+    kernel_of(model, context.layout).code  # noqa: B018 - is kept
+    before = Compiled.programs
+    for rows in (slice(None), 2):
+        at, there = q[rows], context.take(rows)
+        with compile_at_once():
+            tip, columns = tip_and_columns(model, at, there, slots)
+        assert Compiled.programs == before + 1
+        posture = model.posture(unstack(at), there)
+        own = model.columns(posture, slots)[1].reshape(-1, 3, len(slots))
+        np.testing.assert_allclose(tip, model.tip(at, there), rtol=0, atol=1e-12)
+        assert columns.shape == own.shape
+        sizes = np.abs(own).max(axis=(0, 1))
+        assert (np.abs(columns - own).max(axis=(0, 1)) <= 1e-7 * sizes + 1e-10).all()
+
+
+def test_columns_are_compiled_only_where_that_pays(arm):
+    """A model without machine code stays so; with it, many commands pay, or compiling at once."""
+    q = np.random.default_rng(1).uniform(arm.lower, arm.upper, (4, arm.n))
+    model = Model(arm, (LinkDeflection(), JointZero(1, 1e-3)))
+    own = model.columns(model.posture(unstack(q)), model.slots)[1]
+    with compile_at_once():
+        np.testing.assert_array_equal(tip_and_columns(model, q, Context(), model.slots)[1], own)
+    kernel_of(model, Context().layout).code  # noqa: B018 - is kept
+    before, calls = Compiled.programs, 0
+    while Compiled.programs == before and calls < 1000:
+        made = tip_and_columns(model, q, Context(), model.slots)[1]
+        np.testing.assert_allclose(made, own, rtol=1e-9, atol=1e-12)
+        calls += 1
+    assert 50 < calls < 1000
 
 
 def test_a_kernel_is_kept_by_content(arm):

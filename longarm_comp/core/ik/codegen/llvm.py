@@ -197,10 +197,13 @@ def count_lanes() -> int:
     return 8 if features.get("avx512f") else 4 if features.get("avx") else 2
 
 
-def compile_module(text: str, width: int) -> _Code:
+def compile_module(text: str, width: int, level: int = 1) -> _Code:
     """Compile straight-line code without LLVM's optimisation passes.
 
     They would make the code 3 % faster, and compiling it take twice as long.
+
+    Args:
+        level: of the generation of code; at 0 it takes a quarter of the time, the code twice.
     """
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()
@@ -209,7 +212,7 @@ def compile_module(text: str, width: int) -> _Code:
     machine = binding.Target.from_default_triple().create_target_machine(
         cpu=binding.get_host_cpu_name(),
         features=binding.get_host_cpu_features().flatten(),
-        opt=1,
+        opt=level,
         jit=True,
     )
     code = binding.ObjectFileRef.from_data(machine.emit_object(module))
