@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from asked_terminal import at_terminal
 from cli_shell import Shell
-from nodes_bench import facts_of
+from nodes_bench import PATIENCE_S, facts_of
 from quick_arm import QuickArm, quick_arm
 from rclpy.node import Node
 from std_msgs.msg import Float64
@@ -42,7 +42,7 @@ from longarm_comp.sessions.read import read_session
 ARM = Arm.parse({**arm_data(), "payload": {"frame": 4, "mass_kg": 0.5}}, "loaded")
 LOADS = np.tile([2.0, 0.0], 3)
 PLAN = replace(sobol(ARM, len(LOADS), 1), payload_kg=LOADS)
-QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05)
+QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05, look_s=PATIENCE_S)
 
 
 @pytest.fixture

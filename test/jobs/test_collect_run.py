@@ -17,7 +17,7 @@ from small_arm import ARM
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
-from nodes_bench import facts_of
+from nodes_bench import PATIENCE_S, facts_of
 from quick_arm import QuickArm, quick_arm
 
 from longarm_comp.arm_folder.head import view_beside
@@ -38,7 +38,7 @@ KINDS = {
     "joint_states": "sensor_msgs/msg/JointState",
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
 }
-QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05)
+QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05, look_s=PATIENCE_S)
 
 
 @pytest.fixture

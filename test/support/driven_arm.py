@@ -91,5 +91,7 @@ def driven_arm(protocol: str, folder: Path, boom: str = RACK) -> Iterator[Driven
     emulator = FaultyBus(protocol, start, MotorSpec(max_speed_ticks_s=6000), link)
     with emulator:
         made = Driven(ServoConfig.load(path), emulator, true)
-        yield made
-        made.arm.close()
+        try:
+            yield made
+        finally:
+            made.arm.close()
