@@ -58,7 +58,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Path, Qu
 
     at_work = {"arm": arm, "model": folder / "model.yaml", "diagnostics_period_s": 0.2}
     with own_graph(folder), bench() as stage, quick_arm(ARM, lambda q: True, seen) as quick:
-        kinematics = {"acknowledged": True, "move_time_s": 0.05, "target_max_age_s": 60.0}
+        kinematics = {"acknowledged": True, "move_time_s": 0.05}
         stage.start("kinematics", at_work | kinematics)
         stage.start("error_predictor", at_work | {"predictor": folder / "predictor.npz"})
         yield folder, quick

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from kinematics_inside import kinematics_inside
-from nodes_bench import Bench, facts_of
+from nodes_bench import PATIENT, Bench, facts_of
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64
 from watched_kinematics import Watched
@@ -38,7 +38,7 @@ def inside(stage: Bench, demo_arm_path: Path) -> Iterator[Kinematics]:
     """The node in this process, so that a test can break parts of it."""
     with kinematics_inside(
         arm=demo_arm_path, compiled="false", acknowledged="false", method="deflection",
-        diagnostics_period_s=0.1, target_max_age_s=60.0, joints_max_age_s=60.0,
+        diagnostics_period_s=0.1, **PATIENT,
     ) as node:  # fmt: skip
         yield node
 
@@ -81,7 +81,6 @@ def moving(stage: Bench, arm: Arm, demo_arm_path: Path) -> Moving:
     """Beside the node as a process."""
     stage.start("kinematics", {
         "arm": demo_arm_path, "method": "deflection", "diagnostics_period_s": 0.1,
-        "target_max_age_s": 60.0,
     })  # fmt: skip
     return Moving(stage, arm)
 
