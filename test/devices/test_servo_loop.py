@@ -39,7 +39,7 @@ def test_the_arm_goes_where_it_is_told_and_arrives_from_both_sides(driven: Drive
 
 def test_lost_and_damaged_replies_on_the_way_do_not_matter(driven: Driven) -> None:
     driven.send(shoulder=0.6)
-    for k in range(30):
+    for k in range(12):
         driven.emulator.faults.drops[1 + k % 2] += 1
         driven.emulator.faults.corrupt[2 - k % 2] += 1
         driven.cycles(1)

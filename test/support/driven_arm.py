@@ -43,7 +43,7 @@ class Driven:
         self.troubles: list[tuple[ServoTrouble, str]] = []
         self.arm.power(True)
 
-    def until(self, done: Callable[[Cycle], object], limit_s: float = 20.0) -> None:
+    def until(self, done: Callable[[Cycle], object], limit_s: float = 180.0) -> None:
         """Cycle until ``done``; the limit is only there to end a broken test."""
         end = time.monotonic() + limit_s
         while True:
