@@ -30,7 +30,7 @@ NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data
 
 
 LONGEST = (
-    *("test_stops", "test_hidden_effect", "test_loop_graph", "test_explain"),
+    *("test_stops", "test_kept_stops", "test_hidden_effect", "test_loop_graph", "test_explain"),
     *("test_no_code_from_data", "test_fuzz", "test_servo_driver", "test_functions"),
     *("test_paths", "test_belonging", "test_demo", "test_diagnosed", "test_nonsense"),
     *("test_kind_of_arm", "test_error_predictor", "test_package", "test_fleet_cluster"),
@@ -243,6 +243,12 @@ def running_driver(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
 def rig(running_driver: Rig) -> Rig:
     """The driver, running and in order."""
     return running_driver.in_order()
+
+
+@pytest.fixture
+def fresh(running_driver: Rig) -> Rig:
+    """A new driver that nobody has stopped, ready."""
+    return running_driver.anew()
 
 
 @pytest.fixture

@@ -2,7 +2,8 @@
 
 YAML 1.1 reads ``015`` as octal 13 and ``1:30`` as base 60, and lets the last of two equal keys win.
 Here each of these is an error that gives the field. Files are bounded in bytes, nesting and values,
-counted after aliases are followed.
+counted after aliases are followed. libyaml finds the values where it is installed; what it refuses,
+PyYAML reads once more, which shows the place.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,11 @@ import yaml
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_regular
+
+try:
+    from yaml._yaml import CParser
+except ImportError:  # PyYAML was built without libyaml
+    CParser = None  # type: ignore[assignment, misc]
 
 MOST_BYTES = 8_000_000
 MOST_VALUES = 200_000
@@ -28,10 +35,17 @@ _REAL = re.compile(
     r"[-+]?((0|[1-9]\d*)\.\d*|\.\d+|\d+(?=[eE]))([eE][-+]?\d{1,3})?|[-+]?\.(inf|Inf|INF)|\.nan"
 )
 _OCTAL_LIKE = re.compile(r"[-+]?0\d+")
+# libyaml takes these for white space, part of a word or a comment, PyYAML does not.
+_READ_OTHERWISE = re.compile("[\t?\ufeff]|[>|][-+0-9]*#|%YAML")
 
 
 class _Refused(Exception):  # noqa: N818  (becomes an InputError that knows the file)
     """Field, value and what is allowed."""
+
+
+# Of the constructors: a date 2024-99-99, a tag such as !!bool or !!timestamp on another word.
+_REFUSALS = (_Refused, yaml.YAMLError, RecursionError, ValueError, TypeError, LookupError,
+             AttributeError)  # fmt: skip
 
 
 class _Loader(yaml.SafeLoader):
@@ -62,6 +76,16 @@ class _Loader(yaml.SafeLoader):
             raise _Refused(line, f"more than {MOST_VALUES} values", "fewer, aliases followed")
         self._depth -= 1
         return node
+
+
+class _FastLoader(_Loader):
+    """The same, of what libyaml finds in the text."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__("")
+        parser = CParser(text)
+        for name in ("check_event", "peek_event", "get_event"):
+            setattr(self, name, getattr(parser, name))
 
 
 # Whole-number exponents are numbers in YAML 1.2 and in every other format: 1e-3, 2E5.
@@ -103,23 +127,28 @@ def parse_yaml(text: str, where: str) -> Any:
     Raises:
         InputError: the text is no valid YAML, is ambiguous, or exceeds the bounds of this module.
     """
-    loader: _Loader | None = None
+    if CParser is not None and _READ_OTHERWISE.search(text) is None:
+        with suppress(*_REFUSALS):
+            return _construct(_FastLoader(text))
     try:
-        loader = _Loader(text)
+        return _construct(_Loader(text))
+    except _Refused as refused:
+        raise InputError(where, *refused.args) from None
+    except yaml.YAMLError as error:
+        raise InputError(where, "YAML", " ".join(str(error).split()), "valid YAML") from error
+    except _REFUSALS as error:
+        raise InputError(where, "YAML", str(error), "plain values") from error
+
+
+def _construct(loader: _Loader) -> Any:
+    try:
         node = loader.get_single_node()
         if node is None:
             return None
         _check(node)
         return loader.construct_document(node)
-    except _Refused as refused:
-        raise InputError(where, *refused.args) from None
-    except yaml.YAMLError as error:
-        raise InputError(where, "YAML", " ".join(str(error).split()), "valid YAML") from error
-    except (ValueError, TypeError, RecursionError) as error:  # a date 2024-99-99, a tag misused
-        raise InputError(where, "YAML", str(error), "plain values") from error
     finally:
-        if loader is not None:
-            loader.dispose()
+        loader.dispose()
 
 
 def _check(root: yaml.Node) -> None:
@@ -154,7 +183,7 @@ def _list_children(node: yaml.Node, path: str) -> Iterator[tuple[yaml.Node, str]
 
 def _check_number(node: yaml.ScalarNode, field: str) -> None:
     text = node.value
-    if node.style is not None:
+    if node.style:  # in quotes, or a block
         return
     if node.tag in (_INT, _FLOAT):
         plain = (_DECIMAL if node.tag == _INT else _REAL).fullmatch(text) is not None

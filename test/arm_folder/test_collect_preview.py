@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 from cli_shell import Shell
-from some_arms import HOBBY
 
 from longarm_comp.arm_folder.head import View, view_beside
 from longarm_comp.arm_folder.measured import SIDES, camera_path
@@ -89,13 +88,6 @@ def test_geometry_knows_what_the_detector_finds_in_rendered_pictures() -> None:
             assert (local[1, 3] > 0) == ("below)" in text)
         if text.startswith("out of view of the right"):
             assert "left image" not in seen
-
-
-@pytest.fixture(scope="module")
-def hobby(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("arm") / "hobby"
-    assert Shell(folder.parent)("init", folder, *HOBBY) == 0
-    return folder
 
 
 def asked(checks: list[PlanCheck]) -> dict[str, int]:

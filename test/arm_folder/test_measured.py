@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+from arm_folders import levels, replaced
 from cli_shell import Shell
 
 from longarm_comp.arm_folder.check import check_folder
@@ -16,16 +17,6 @@ from longarm_comp.arm_folder.measured import CAMERAS, SIDES, camera_path, note_m
 def mine(shell: Shell) -> Path:
     assert shell("init", "mine", "--like", "demo") == 0, shell.err
     return shell.folder / "mine"
-
-
-def levels(folder: Path, level: str) -> set[str]:
-    return {f.where for f in check_folder(folder) if f.level == level}
-
-
-def replaced(file: Path, old: str, new: str) -> None:
-    text = file.read_text()
-    assert re.search(old, text), f"{old} is not in {file.name}"
-    file.write_text(re.sub(old, new, text, count=1))
 
 
 def test_what_was_measured_counts_until_its_values_change(mine: Path) -> None:
@@ -45,14 +36,14 @@ def test_what_was_measured_counts_until_its_values_change(mine: Path) -> None:
         for found in check_folder(mine):
             if "changed since" in found.text:
                 assert found.level == "unmeasured" and "longarm a command: n 3" in found.text
-        still = levels(mine, "measured")
+        still = set(levels(mine, "measured"))
         for file, text in before.items():
             file.write_text(text)
         return still
 
     everything = {servos.name, bridge.name, CAMERAS}
     silent = {f"{bridge.name}: hand_eye", f"{servos.name}: zero_ticks"}
-    assert measured_of() == everything and not silent & levels(mine, "unmeasured")
+    assert measured_of() == everything and silent.isdisjoint(levels(mine, "unmeasured"))
     speed, tag = (
         (servos, r"max_velocity: [\d.]+", "max_velocity: 0.01"),
         (bridge, r"tag_m: [\d.]+", "tag_m: 0.055"),
@@ -67,7 +58,7 @@ def test_what_was_measured_counts_until_its_values_change(mine: Path) -> None:
 
     replaced(cameras[0], "as", "not as")
     listed = levels(mine, "unmeasured")
-    assert {CAMERAS, bridge.name, f"{bridge.name}: hand_eye"} <= listed
+    assert {CAMERAS, bridge.name, f"{bridge.name}: hand_eye"} <= set(listed)
     record = mine / "measured.yaml"
     record.write_text(re.sub(r"  of: \w+\n", "", record.read_text()))  # by an earlier version
-    assert levels(mine, "measured") == everything
+    assert set(levels(mine, "measured")) == everything

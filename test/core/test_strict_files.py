@@ -28,59 +28,7 @@ from longarm_comp.core.learn.predictor_file import load
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored, save_model, store
-from longarm_comp.core.strict_yaml import DEEPEST, parse_yaml
 from longarm_comp.devices.servo_config import ServoConfig
-
-
-def refused(text: str) -> str:
-    with pytest.raises(InputError) as caught:
-        parse_yaml(text, "file.yaml")
-    assert caught.value.where == "file.yaml"
-    return f"{caught.value.field} | {caught.value.value}"
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("limits_deg: [-015, 015]", "limits_deg.0 (line 1) | -015"),
-        ("joints:\n- limits_deg: [0, 1:30]", "joints.0.limits_deg.1 (line 2) | 1:30"),
-        ("a: 1:30:15.5", "a (line 1) | 1:30:15.5"),
-        ("a: 0x1F", "a (line 1) | 0x1F"),
-        ("a: 0b11", "a (line 1) | 0b11"),
-        ("a: 1_000", "a (line 1) | 1_000"),
-        ("a: 09", "a (line 1) | 09"),
-        ("a: 1e999", "a | 1e999"),
-        ("a: 1\nb: {c: 2}\na: 3", "a | twice, lines 1 and 3"),
-        ("b: {c: 2, 'c': 3}", "b.c | twice, lines 1 and 1"),
-        ("a: &x [1, *x]", "line 1 | *x"),
-        ("[" * 5000, "line 1 | nested more than"),
-        ("a: " + "{a: " * 5000, "line 1 | nested more than"),
-        ("a: 2024-99-99", "YAML | month must be"),
-        ("? [1, 2]\n: 3", "YAML | while constructing"),
-        ("a: !!python/name:os.system", "YAML | could not determine"),
-    ],
-)
-def test_yaml_that_is_refused(text: str, said: str) -> None:
-    assert refused(text).startswith(said)
-
-
-def test_an_alias_bomb_is_refused_and_plain_aliases_are_not() -> None:
-    bomb = "a0: &a0 [1, 1, 1, 1, 1, 1, 1, 1, 1, 1]\n"
-    for k in range(1, 9):
-        bomb += f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]\n"
-    assert "more than" in refused(bomb)
-    shared = parse_yaml("tube: &t {od_m: 0.1}\none: *t\ntwo: {<<: *t, id_m: 0.05}", "f")
-    assert shared["one"] == {"od_m": 0.1} and shared["two"] == {"od_m": 0.1, "id_m": 0.05}
-
-
-def test_yaml_that_is_read() -> None:
-    text = "[15, -0.5, .5, 1., 1e-3, -2.5E+2, 0, -0, 0.0, 'a', '015', yes, ~, .inf, 1e]"
-    nested = "[" * (DEEPEST - 1) + "]" * (DEEPEST - 1)
-    assert parse_yaml(text, "f") == [
-        *(15, -0.5, 0.5, 1.0, 1e-3, -250.0, 0, 0, 0.0, "a", "015", True, None, float("inf"), "1e"),
-    ]
-    assert parse_yaml(nested, "f") == eval(nested)
-    assert parse_yaml("", "f") is None
 
 
 @pytest.mark.parametrize(

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
 import re
-import sys
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 
@@ -48,16 +45,7 @@ REFUSED = [
 """Protocol, address, length and value of what gives goals or speeds another meaning."""
 
 
-@pytest.fixture(autouse=True)
-def nobody_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
-@pytest.fixture(params=MODELS)
-def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
-    with two(request.param) as made:
-        yield made
+pytestmark = pytest.mark.usefixtures("nobody_there")
 
 
 # ---- scan ---------------------------------------------------------------------------------------

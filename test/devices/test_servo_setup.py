@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import math
 import re
-import sys
 from collections.abc import Iterator
 from contextlib import closing
 from itertools import cycle
@@ -26,10 +24,7 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch, kept_stops
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 
-
-@pytest.fixture(autouse=True)
-def nobody_there(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
+pytestmark = pytest.mark.usefixtures("nobody_there")
 
 
 @pytest.fixture(params=MODELS)

@@ -44,17 +44,7 @@ from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
 from longarm_comp.sim.servo_emulator.motor import Motor
 from longarm_comp.sim.servo_emulator.wire import Device
 
-
-@pytest.fixture(autouse=True)
-def nobody_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
-@pytest.fixture(params=MODELS)
-def emulator(request: pytest.FixtureRequest) -> Iterator[ServoEmulator]:
-    with two(request.param) as made:
-        yield made
+pytestmark = pytest.mark.usefixtures("nobody_there")
 
 
 def a_setup(bus: SerialServoBus, config: ServoConfig, *check: Callable[[], object]) -> ServoSetup:

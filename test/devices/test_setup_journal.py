@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import json
 import os
-import sys
 from contextlib import closing
 from pathlib import Path
 
@@ -28,10 +26,7 @@ from longarm_comp.devices.state_folder import state_folder
 THERE = {name: BusConfig(protocol=name, port="/dev/elsewhere") for name in MODELS}
 
 
-@pytest.fixture(autouse=True)
-def nobody_there(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(sys, "stdin", io.StringIO())
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+pytestmark = pytest.mark.usefixtures("nobody_there")
 
 
 class Broken(Exception):  # noqa: N818

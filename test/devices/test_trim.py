@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -190,9 +191,8 @@ def test_it_does_not_push_a_joint_at_its_limit_or_one_that_is_stalled() -> None:
 @pytest.fixture
 def sagging_arm(tmp_path: Path) -> Iterator[SaggingArm]:
     """Servos that give way by 8 mm at the tip, with play of friction."""
-    made = SaggingArm(CONFIGS, tmp_path, trim=True)
-    yield made
-    made.close()
+    with closing(SaggingArm(CONFIGS, tmp_path, trim=True)) as made:
+        yield made
 
 
 def test_a_droop_of_millimetres_is_trimmed_to_a_tenth(sagging_arm: SaggingArm) -> None:
@@ -208,11 +208,10 @@ def test_a_droop_of_millimetres_is_trimmed_to_a_tenth(sagging_arm: SaggingArm) -
 
 def test_a_trimmed_joint_stands_where_its_encoder_says(tmp_path: Path) -> None:
     """In bytes: the encoder's zero is what is left."""
-    rig = SaggingArm(CONFIGS, tmp_path, trim=True, off=7.0)
-    q = np.round(rig.arm.mid / rig.arm.steps) * rig.arm.steps
-    assert rig.move(q).kind is EventKind.ARRIVED
-    left = np.abs(rig.plant.joints() - q) / rig.arm.steps
-    rig.close()
+    with closing(SaggingArm(CONFIGS, tmp_path, trim=True, off=7.0)) as rig:
+        q = np.round(rig.arm.mid / rig.arm.steps) * rig.arm.steps
+        assert rig.move(q).kind is EventKind.ARRIVED
+        left = np.abs(rig.plant.joints() - q) / rig.arm.steps
     assert left == pytest.approx(np.full(rig.arm.n, 7.0), abs=0.6)
 
 

@@ -308,9 +308,11 @@ def test_a_driver_that_is_heard_of_last_is_on_the_graph(tmp_path: Path, shell: S
         stage.spin(lambda: heard)
         driver = threading.Thread(target=drive)
         driver.start()
-        found = shell.json("status")
-        done.set()
-        driver.join()
+        try:
+            found = shell.json("status")
+        finally:
+            done.set()
+            driver.join()
     assert (found["driver"], found["next"]) == ("ready", "")
     assert "kinematics" in found["nodes"] and "no target is followed" not in str(found)
 

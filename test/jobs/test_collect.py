@@ -8,8 +8,6 @@ from __future__ import annotations
 import dataclasses
 import os
 import signal
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -20,6 +18,7 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 import cobot
+from bag_words import offers, put_words
 from cli_shell import Shell
 from forked import ForkedProgram
 from nodes_bench import Bench, bench
@@ -30,24 +29,16 @@ from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.calibration.calibrate import declared_model
 from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.plan import Plan, from_both_sides, sobol
-from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.core.errors import InputError
 from longarm_comp.jobs.client import Pace
 from longarm_comp.jobs.collect.run import visits_in_bag
 from longarm_comp.jobs.collect.visits import Visit, list_visits, plan_checks
-from longarm_comp.sessions.bag import bag_info, open_bag
+from longarm_comp.sessions.bag import bag_info
 from longarm_comp.sessions.bag_segments import SegmentedBag
-from longarm_comp.sessions.message_types import message_types, publisher_quality
 from longarm_comp.sessions.poses import write_poses
 from longarm_comp.sessions.read import read_session
 
 POSES = 8
-TEXT = "std_msgs/msg/String"
-
-
-def word(text: str) -> bytes:
-    types = message_types()
-    return bytes(types.serialize_cdr(types.types[TEXT](data=text), TEXT))
 
 
 # ------------------------------------------------------------------ visits
@@ -153,122 +144,21 @@ def test_more_repeats_than_poses_are_refused(arm: Arm) -> None:
         list_visits(sobol(arm, 3), arm, repeats=4)
 
 
-# ------------------------------------------------------------------ bags that grow
-
-
-def offers(path: Path) -> dict[str, tuple[int, str, str]]:
-    """Depth, reliability and durability by topic, as `ros2 bag play` reads them."""
-    information = read_yaml(path / "metadata.yaml")["rosbag2_bagfile_information"]
-    topics = [t["topic_metadata"] for t in information["topics_with_message_count"]]
-    return {
-        topic["name"]: (qos["depth"], qos["reliability"], qos["durability"])
-        for topic in topics
-        for qos in topic["offered_qos_profiles"]
-    }
-
-
-def test_a_growing_bag_is_readable_after_every_segment(tmp_path: Path) -> None:
-    path = tmp_path / "bag"
-    with SegmentedBag(path) as bag:
-        for k in range(30):
-            bag.write("/word", TEXT, 10**18 + k, word(f"w{k}"))
-            if k % 10 == 9:
-                bag.finish_segment()
-                with open_bag(path) as reader:
-                    assert reader.message_count == k + 1
-        bag.offers["/other"] = publisher_quality(1, latched=True)
-        bag.write("/other", TEXT, 10**18 + 99, word("last"))
-    assert offers(path) == {
-        "/word": (10, "reliable", "volatile"), "/other": (1, "reliable", "transient_local"),
-    }  # fmt: skip
-    with open_bag(path) as reader:
-        stamps = [stamp for _, stamp, _ in reader.messages()]
-    assert stamps == [*range(10**18, 10**18 + 30), 10**18 + 99]
-    with pytest.raises(InputError, match="--resume"):
-        SegmentedBag(path)
-    with SegmentedBag(path, resume=True) as bag:
-        bag.write("/word", TEXT, 10**18 + 200, word("more"))
-    assert {t["topic"]: t["count"] for t in bag_info(path)["topics"]} == {"/word": 31, "/other": 1}
-
-
-def test_two_recorders_of_one_bag_are_refused(tmp_path: Path) -> None:
-    """The second one would remove what the first one writes, and take the place of its segments."""
-    path = tmp_path / "bag"
-    with SegmentedBag(path) as bag:
-        bag.write("/word", TEXT, 10**18, word("one"))
-        for resume in (True, False):
-            with pytest.raises(InputError, match=r"in use by another process|--resume"):
-                SegmentedBag(path, resume=resume)
-        bag.finish_segment()
-    with SegmentedBag(path, resume=True) as bag:
-        bag.write("/word", TEXT, 10**18 + 1, word("two"))
-    assert bag_info(path)["messages"] == 2
-
-
-def test_a_bag_of_nothing_is_a_bag_and_rubbish_is_not_resumed(tmp_path: Path) -> None:
-    with SegmentedBag(tmp_path / "empty"):
-        pass
-    assert bag_info(tmp_path / "empty")["messages"] == 0
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match=r"thesis\.txt"):
-        SegmentedBag(tmp_path / "other", resume=True)
+# ------------------------------------------------------------------ bags of others
 
 
 def test_a_bag_that_collect_did_not_begin_is_not_resumed(tmp_path: Path) -> None:
     with SegmentedBag(tmp_path / "bag") as bag:
-        bag.write("/session_row", TEXT, 10**18, word('{"number": 3}'))
+        put_words(bag, "/session_row", '{"number": 3}')
     with pytest.raises(InputError, match=r"/session_row: .*index.*longarm collect"):
         visits_in_bag(tmp_path / "bag", [], 7)
     with SegmentedBag(tmp_path / "recorded") as bag:
-        bag.write("/payload", TEXT, 10**18, word("2"))
+        put_words(bag, "/payload", "2")
     with pytest.raises(InputError, match=r"session_row: 'none'.*longarm collect"):
         visits_in_bag(tmp_path / "recorded", [], 7)
     with SegmentedBag(tmp_path / "empty"):  # killed before its first visit
         pass
     assert visits_in_bag(tmp_path / "empty", [], 7) == set()
-
-
-def test_a_recording_that_fails_before_its_first_message_leaves_nothing(tmp_path: Path) -> None:
-    def fail(path: Path, *words: str, resume: bool = False) -> None:
-        with SegmentedBag(path, resume=resume) as bag:
-            for k, text in enumerate(words):
-                bag.write("/word", TEXT, 10**18 + k, word(text))
-            raise JobError("no joint_states")
-
-    for resume in (False, True):
-        with pytest.raises(JobError):
-            fail(tmp_path / "bag", resume=resume)
-        assert not (tmp_path / "bag").exists()
-    with pytest.raises(JobError):
-        fail(tmp_path / "bag", "one")
-    assert bag_info(tmp_path / "bag")["messages"] == 1
-    with pytest.raises(JobError):
-        fail(tmp_path / "bag", resume=True)
-    assert bag_info(tmp_path / "bag")["messages"] == 1
-    (tmp_path / "mine").mkdir()  # a folder that was there stays
-    with pytest.raises(JobError):
-        fail(tmp_path / "mine", resume=True)
-    assert (tmp_path / "mine").exists()
-
-
-def test_a_killed_writer_leaves_all_but_its_last_segment(tmp_path: Path) -> None:
-    program = f"""
-import os, signal
-from longarm_comp.sessions.bag_segments import SegmentedBag
-bag = SegmentedBag({str(tmp_path / "bag")!r}).__enter__()
-for k in range(25):
-    bag.write("/word", {TEXT!r}, 10**18 + k, {word("x")!r})
-    if k % 10 == 9:
-        bag.finish_segment()
-os.kill(os.getpid(), signal.SIGKILL)
-"""
-    done = subprocess.run([sys.executable, "-c", program], check=False)
-    assert done.returncode == -signal.SIGKILL
-    assert bag_info(tmp_path / "bag")["messages"] == 20
-    with SegmentedBag(tmp_path / "bag", resume=True) as bag:
-        bag.write("/word", TEXT, 10**18 + 30, word("y"))
-    assert bag_info(tmp_path / "bag")["messages"] == 21
 
 
 # ------------------------------------------------------------------ on the graph
@@ -400,8 +290,8 @@ def test_what_still_holds_is_not_dropped_between_visits(ros_domain: int, tmp_pat
         stage.connected(sensor)
         for celsius in (20.0, 21.0):
             sensor.publish(Temperature(temperature=celsius))
-        stage.spin(lambda: recorder.waits_for() == [])
-        spin_for(stage, 0.2)
+        stage.spin(lambda: len(recorder.waiting) == 2)
+        assert recorder.waits_for() == []
         recorder.drop()  # a visit begins, and ends before the next temperature
         recorder.keep(since_ns=time.time_ns(), finish=True)
         assert recorder.counts == {"/temperature": 1}

@@ -20,7 +20,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from asked_terminal import at_terminal
 from cli_shell import Shell
 from nodes_bench import facts_of
-from quick_arm import QuickArm, quick_arm
+from quick_arm import QUICK, QuickArm, quick_arm
 from rclpy.node import Node
 from std_msgs.msg import Float64
 
@@ -29,7 +29,7 @@ from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import outside_boxes, sobol
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.client import ArmClient, Pace
+from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect.run import Collected, collect
 from longarm_comp.jobs.collect.visits import list_visits
 from longarm_comp.jobs.loop import Loop, LoopSettings
@@ -42,7 +42,6 @@ from longarm_comp.sessions.read import read_session
 ARM = Arm.parse({**arm_data(), "payload": {"frame": 4, "mass_kg": 0.5}}, "loaded")
 LOADS = np.tile([2.0, 0.0], 3)
 PLAN = replace(sobol(ARM, len(LOADS), 1), payload_kg=LOADS)
-QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05)
 
 
 @pytest.fixture

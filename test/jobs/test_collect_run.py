@@ -18,7 +18,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from nodes_bench import facts_of
-from quick_arm import QuickArm, quick_arm
+from quick_arm import QUICK, QuickArm, quick_arm
 
 from longarm_comp.arm_folder.head import view_beside
 from longarm_comp.core.arm.arm import Arm
@@ -26,7 +26,7 @@ from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.client import ArmClient, Pace
+from longarm_comp.jobs.client import ArmClient
 from longarm_comp.jobs.collect.run import Collected, Progress, collect
 from longarm_comp.jobs.collect.visits import list_visits
 from longarm_comp.jobs.recorder import Recorder
@@ -38,7 +38,6 @@ KINDS = {
     "joint_states": "sensor_msgs/msg/JointState",
     "joint_trajectory": "trajectory_msgs/msg/JointTrajectory",
 }
-QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05)
 
 
 @pytest.fixture

@@ -40,7 +40,7 @@ from longarm_comp.sim.hidden.drives import JointGain as TrueGain
 from longarm_interfaces.srv import Compensate
 
 QUICK = ("--sightings", "1", "--dwell", "0.08", "--move", "0.05")
-PACE = Pace(sightings=1, dwell_s=0.08, move_s=0.05)
+PACE = Pace(sightings=1, dwell_s=0.08, move_s=0.05, look_s=PATIENCE_S)
 GAIN, NOISE = 0.02, 1e-4
 """Of joint 2: the tip stands some 10 mm too high; and what a sighting errs by, m."""
 
@@ -140,6 +140,13 @@ def test_a_method_belongs_to_the_request_and_outlasts_no_client(
     told: dict[str, str] = {}
     graph.COMPENSATION.subscription(client.node, lambda m: told.__setitem__(m.id, m.method))
     near, nowhere = Model(ARM).tip(ARM.mid), np.full(3, np.nan)
+
+    def hears() -> bool:
+        """Ask until a record comes: those before the subscription is matched are lost."""
+        runner.ask(near, Method.NONE, execute=False)
+        return bool(told)
+
+    client.until(hears, PATIENCE_S, "the record of a target")
     for method, target in itertools.product(Method, (near, nowhere)):
         answer = runner.ask(target, method, execute=False)
         assert answer.success == (target is near)

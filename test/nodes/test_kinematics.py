@@ -89,9 +89,7 @@ def test_of_a_burst_every_target_and_request_is_answered_once(
     stage: Bench, arm: Arm, demo_arm_path: Path
 ) -> None:
     """More than may wait: the rest is refused in words, nothing is lost on the way."""
-    patient = {"target_max_age_s": 60.0, "joints_max_age_s": 60.0}  # a busy machine
-    given = {"arm": demo_arm_path, "queue": 40, "method": "deflection", **patient}
-    stage.start("kinematics", given)
+    stage.start("kinematics", {"arm": demo_arm_path, "queue": 40, "method": "deflection"})
     trajectories = stage.collect(graph.JOINT_TRAJECTORY)
     stories = stage.collect(graph.COMPENSATION)
     targets = graph.TARGET_POSE.publisher(stage.node)
@@ -149,8 +147,7 @@ def test_every_refusal_has_a_status_and_a_reason(
     box = {"min_m": (lamp - 0.01).tolist(), "max_m": (lamp + 0.01).tolist()}
     declared = dict(read_yaml(demo_arm_path)) | {"keep_out": {"lamp": box}}
     (tmp_path / "arm.yaml").write_text(yaml.safe_dump(declared))
-    given = {"arm": tmp_path / "arm.yaml", "joints_max_age_s": 60.0}  # a busy machine
-    node = stage.start("kinematics", given)
+    node = stage.start("kinematics", {"arm": tmp_path / "arm.yaml"})
     trajectories = stage.collect(graph.JOINT_TRAJECTORY)
     stories = stage.collect(graph.COMPENSATION)
     client = graph.COMPENSATE.client(stage.node)

@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from geometry_msgs.msg import PoseWithCovarianceStamped
 from kinematics_inside import kinematics_inside
-from nodes_bench import Bench, facts_of
+from nodes_bench import PATIENT, Bench, facts_of
 from sensor_msgs.msg import JointState, Temperature
 from std_msgs.msg import Float64
 from watched_kinematics import Watched
@@ -38,7 +38,7 @@ def inside(stage: Bench, demo_arm_path: Path) -> Iterator[Kinematics]:
     """The node in this process, so that a test can break parts of it."""
     with kinematics_inside(
         arm=demo_arm_path, compiled="false", acknowledged="false", method="deflection",
-        diagnostics_period_s=0.1, target_max_age_s=60.0, joints_max_age_s=60.0,
+        diagnostics_period_s=0.1, **PATIENT,
     ) as node:  # fmt: skip
         yield node
 
@@ -76,16 +76,20 @@ class Moving(Watched):
         return said
 
 
-@pytest.mark.parametrize("rate_hz", [2.0, pytest.param(5.0, marks=pytest.mark.long)])
-def test_of_sixteen_targets_beside_rival_joints_none_moves_the_arm(
-    stage: Bench, arm: Arm, demo_arm_path: Path, rate_hz: float
-) -> None:
-    """At zeros, as a forgotten joint_state_publisher tells them; at the arm's own joints too."""
+@pytest.fixture
+def moving(stage: Bench, arm: Arm, demo_arm_path: Path) -> Moving:
+    """Beside the node as a process."""
     stage.start("kinematics", {
         "arm": demo_arm_path, "method": "deflection", "diagnostics_period_s": 0.1,
-        "target_max_age_s": 60.0,
     })  # fmt: skip
-    moving = Moving(stage, arm)
+    return Moving(stage, arm)
+
+
+@pytest.mark.parametrize("rate_hz", [2.0, pytest.param(5.0, marks=pytest.mark.long)])
+def test_of_sixteen_targets_beside_rival_joints_none_moves_the_arm(
+    stage: Bench, arm: Arm, moving: Moving, rate_hz: float
+) -> None:
+    """At zeros, as a forgotten joint_state_publisher tells them; at the arm's own joints too."""
     for q in (np.zeros(arm.n), arm.mid):
         rival = moving.tells(1.0 / rate_hz, q)
         moving.until("two publishers tell joint_states", STATUS.NOT_READY)
@@ -104,13 +108,8 @@ def test_of_sixteen_targets_beside_rival_joints_none_moves_the_arm(
 
 
 def test_payloads_that_no_arm_carries_move_nothing_and_silence_nothing(
-    stage: Bench, arm: Arm, demo_arm_path: Path
+    stage: Bench, moving: Moving
 ) -> None:
-    stage.start("kinematics", {
-        "arm": demo_arm_path, "method": "deflection", "diagnostics_period_s": 0.1,
-        "target_max_age_s": 60.0,
-    })  # fmt: skip
-    moving = Moving(stage, arm)
     payload, warmth = (t.publisher(stage.node) for t in (graph.PAYLOAD, graph.TEMPERATURE))
     tips = graph.TIP_MEASURED.publisher(stage.node)
     for publisher in (payload, warmth, tips):

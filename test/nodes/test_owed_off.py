@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,23 +11,14 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from driver_rig import Rig
 from lifecycle_msgs.msg import Transition
-from nodes_bench import Bench
 from std_srvs.srv import SetBool, Trigger
-from stops_bench import StoppedArm, stopped_arm
+from stops_bench import StoppedArm
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.stops import Stops
 from longarm_interfaces.msg import DriverState
 
 UNCONFIRMED = "torque off: not every servo confirms it"
-
-
-@pytest.fixture
-def driver(stage: Bench, tmp_path: Path) -> Iterator[StoppedArm]:
-    with stopped_arm(stage, tmp_path / "stops") as made:
-        made.configure()
-        yield made
-        made.emulator.loses = None
 
 
 def deaf(driver: StoppedArm) -> None:

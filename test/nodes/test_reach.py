@@ -11,7 +11,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from action_msgs.msg import GoalStatus
 from kinematics_inside import kinematics_inside
-from nodes_bench import Bench
+from nodes_bench import PATIENT, Bench
 from played_driver import Driver
 from target_requests import pose, request
 
@@ -32,7 +32,7 @@ def test_a_goal_cancelled_before_its_joints_are_sent_moves_nothing(stage: Bench,
 
     with kinematics_inside(
         arm=ARM, compiled="false", acknowledged="true", method="deflection",
-        target_max_age_s=60.0, joints_max_age_s=60.0,
+        **PATIENT,
     ) as node:  # fmt: skip
         worker = node._arm.worker
         try:

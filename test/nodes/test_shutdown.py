@@ -11,13 +11,14 @@ from places import ROOT
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench, bench
+from nodes_bench import Bench, bench, gone
 from own_graph import own_graph
 from std_msgs.msg import String
 
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.share import folder
 
+SUPPORT = ROOT / "test" / "support"
 DEAF = (
     "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN);"
     "os.execv(sys.argv[1], sys.argv[1:])"
@@ -61,6 +62,15 @@ class Talker(ArmNode):
 program(Talker)()
 """
 
+RUN_OF_TESTS = """
+import os, sys, tempfile, time
+from forked import ForkedProgram
+words = ["http.server", "0", "--bind", "127.0.0.1"]
+print(ForkedProgram(words, os.getcwd(), dict(os.environ), tempfile.TemporaryFile("w+")).pid)
+sys.stdout.flush()
+time.sleep(600.0)
+"""
+
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
@@ -101,3 +111,11 @@ def test_what_a_node_says_as_it_ends_is_heard(stage: Bench) -> None:
         stage.spin(lambda: words.get_publisher_count() == 0)
         assert [said for said in heard if said != "here"] == [str(k) for k in range(count)]
         heard.clear()
+
+
+def test_what_a_run_of_tests_started_ends_with_it_also_where_it_is_killed(stage: Bench) -> None:
+    run = stage.program([sys.executable, "-c", RUN_OF_TESTS], SUPPORT, ROOT)
+    pid = int(stage.spin(lambda: stage.output(run)))
+    assert not gone(pid)
+    run.kill()
+    stage.spin(lambda: gone(pid))

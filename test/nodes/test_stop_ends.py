@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,9 +11,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
-from nodes_bench import Bench
 from std_srvs.srv import SetBool, Trigger
-from stops_bench import MAX_AGE_S, StoppedArm, stopped_arm
+from stops_bench import MAX_AGE_S, StoppedArm
 
 from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.nodes import interfaces as graph
@@ -23,13 +21,6 @@ from longarm_comp.nodes.worker import Asked
 from longarm_interfaces.msg import DriverState
 
 ENDS = {"reset": (graph.RESET, None), "estop": (graph.ESTOP, False), "hold": (graph.HOLD, False)}
-
-
-@pytest.fixture
-def driver(stage: Bench, tmp_path: Path) -> Iterator[StoppedArm]:
-    with stopped_arm(stage, tmp_path / "stops") as made:
-        made.configure()
-        yield made
 
 
 def serve(driver: StoppedArm, service: graph.Service, data: bool | None, sent_ns: int) -> Any:

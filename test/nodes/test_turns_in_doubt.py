@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
@@ -11,9 +10,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from driver_rig import Rig, driver_rig
 from lifecycle_msgs.msg import Transition
-from nodes_bench import Bench
 from std_srvs.srv import Trigger
-from stops_bench import StoppedArm, stopped_arm
+from stops_bench import StoppedArm
 
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
 from longarm_comp.nodes import interfaces as graph
@@ -26,13 +24,6 @@ LOST = "shoulder may have lost count of servo turns"
 @pytest.fixture(scope="module")
 def rig(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
     with driver_rig(tmp_path_factory.mktemp("doubt")) as made:
-        yield made
-
-
-@pytest.fixture
-def driver(stage: Bench, tmp_path: Path) -> Iterator[StoppedArm]:
-    with stopped_arm(stage, tmp_path / "stops") as made:
-        made.configure()
         yield made
 
 

@@ -13,9 +13,7 @@ from bag_robot import command, header, robot, sighting, state
 from small_arm import ARM
 
 from bench.synthetic_bag import PERIOD_S, recording, write_raw
-from longarm_comp.core.errors import JobError
 from longarm_comp.sessions.bag import read_bag
-from longarm_comp.sessions.bag_segments import SegmentedBag
 from longarm_comp.sessions.message_types import message_types
 
 KIND = "sensor_msgs/msg/JointState"
@@ -29,17 +27,6 @@ def peak_of_reading(path: Path) -> tuple[int, int]:
         return len(session), tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-
-
-def test_a_recording_that_fails_leaves_what_others_put_beside_its_metadata(tmp_path: Path) -> None:
-    with SegmentedBag(tmp_path / "bag"):  # killed before its first message
-        pass
-    (tmp_path / "bag" / "touches.yaml").write_text("mine")
-    with pytest.raises(JobError), SegmentedBag(tmp_path / "bag") as bag:
-        bag.write("/word", "std_msgs/msg/String", 10**18, bytes(4))
-        bag.discard()
-        raise JobError("nothing in it is worth going on with")
-    assert [file.name for file in (tmp_path / "bag").iterdir()] == ["touches.yaml"]
 
 
 def test_memory_does_not_grow_with_the_length_of_the_bag(tmp_path: Path) -> None:

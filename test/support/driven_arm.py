@@ -43,7 +43,7 @@ class Driven:
         self.troubles: list[tuple[ServoTrouble, str]] = []
         self.arm.power(True)
 
-    def until(self, done: Callable[[Cycle], object], limit_s: float = 20.0) -> None:
+    def until(self, done: Callable[[Cycle], object], limit_s: float = 180.0) -> None:
         """Cycle until ``done``; the limit is only there to end a broken test."""
         end = time.monotonic() + limit_s
         while True:
@@ -91,5 +91,7 @@ def driven_arm(protocol: str, folder: Path, boom: str = RACK) -> Iterator[Driven
     emulator = FaultyBus(protocol, start, MotorSpec(max_speed_ticks_s=6000), link)
     with emulator:
         made = Driven(ServoConfig.load(path), emulator, true)
-        yield made
-        made.arm.close()
+        try:
+            yield made
+        finally:
+            made.arm.close()

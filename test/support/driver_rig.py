@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 import signal
 import subprocess
 import time
@@ -19,6 +20,7 @@ from nodes_bench import Bench, bench, facts_of, last_status
 from own_graph import own_graph
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.orders import Stamps, order_id
 from longarm_comp.sim.servo_emulator.emulator import ServoEmulator
@@ -84,6 +86,28 @@ class Rig:
         self.ends()
         self.emulator.unplug()
         return self.start(patience_s=patience_s)
+
+    def killed(self) -> None:
+        """Kill the driver and start another one."""
+        self.process.kill()
+        self.process.wait(timeout=300)
+        self.start()
+
+    def anew(self) -> Rig:
+        """A new driver that nobody has stopped, ready; the servos are as they were made."""
+        if self.process.poll() is None:
+            self.stage.spin(lambda: self.said)  # from then on it hears a signal
+            self.process.send_signal(signal.SIGINT)
+            assert self.process.wait(timeout=300) == 0
+        self.emulator.unplug()
+        shutil.rmtree(state_folder(), ignore_errors=True)
+        with self.emulator.motor(1) as motor:
+            motor.blocked = False
+        self.emulator.start()
+        self.start()
+        self.in_order().is_in(DriverState.READY)
+        self.goes(shoulder=0.2)  # so it hears trajectories
+        return self
 
     def driving(self) -> bool:
         return all(self.emulator.torques_on().values())
@@ -180,6 +204,22 @@ class Rig:
                 if self.stands(**goal):
                     return
         self.arrives(**goal)
+
+    def refuses(self, word: str) -> None:
+        """Send trajectories until the driver, whose subscription may be connecting, refuses one."""
+        sent: list[str] = []
+
+        def refused() -> bool:
+            told = [motion for name in sent for motion in self.told_of(name)]
+            assert all(motion.event == Motion.REFUSED for motion in told)
+            return bool(told) and all(word in motion.message for motion in told)
+
+        for _ in range(300):
+            sent.append(self.send(shoulder=0.25))
+            with contextlib.suppress(AssertionError):
+                self.stage.spin(refused, within=1.0)
+                return
+        raise AssertionError(f"nothing was refused for {word}\n{self.stage.state()}")
 
     def told(self, part: str) -> str:
         """The last sentence of a part of /diagnostics."""

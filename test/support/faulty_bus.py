@@ -14,7 +14,7 @@ from longarm_comp.sim.servo_emulator.wire import Device
 SYNC_WRITE = 0x83
 
 
-def wait_until(done: Callable[[], bool], limit_s: float = 20.0) -> bool:
+def wait_until(done: Callable[[], bool], limit_s: float = 180.0) -> bool:
     """Wait for ``done``; the limit is only there to end a broken test."""
     end = time.monotonic() + limit_s
     while not done() and time.monotonic() < end:

@@ -1,7 +1,8 @@
 """Nodes in processes of their own, without the second that each takes to import its libraries.
 
 A process beside each worker of pytest imports most of what nodes import, and forks. What it forks
-runs a module as ``python -m`` does, with a parent that waits for its end and tells it.
+runs a module as ``python -m`` does, with a parent that waits for its end and tells it, and ends it
+where nobody hears that any more.
 """
 
 from __future__ import annotations
@@ -110,6 +111,7 @@ def _fork(connection: socket.socket) -> list[str]:
         if pid := os.fork():
             os.close(said)
             os.write(tells, str(pid).encode().ljust(_FIELD))
+            _end_with_reader(pid, tells)
             os.write(tells, str(os.waitpid(pid, 0)[1]).encode().ljust(_FIELD))
             os._exit(0)
         os.close(tells)
@@ -121,6 +123,18 @@ def _fork(connection: socket.socket) -> list[str]:
         os.environ.clear()
         os.environ.update(given["env"])
         return list(given["words"])
+
+
+def _end_with_reader(pid: int, tells: int) -> None:
+    """Wait until the program ends; kill it where the process that reads of it was killed.
+
+    A driver that was left would answer the tests that get its domain next.
+    """
+    ended, watched = os.pidfd_open(pid), select.poll()
+    watched.register(ended, select.POLLIN)
+    watched.register(tells, 0)  # that nobody reads is always told
+    if ended not in dict(watched.poll()):
+        os.kill(pid, signal.SIGKILL)
 
 
 def _serve(descriptor: int) -> None:

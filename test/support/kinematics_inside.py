@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
@@ -16,24 +16,23 @@ from longarm_comp.nodes.kinematics import Kinematics
 def kinematics_inside(**parameters: object) -> Iterator[Kinematics]:
     """Spin the node in a thread of this process, with these parameters."""
     words = [word for name, value in parameters.items() for word in ("-p", f"{name}:={value}")]
-    rclpy.init(args=["--ros-args", *words])
-    executor = SingleThreadedExecutor()
-    node = Kinematics(executor)
-    executor.add_node(node)
-    over = threading.Event()
+    with ExitStack() as ends:
+        rclpy.init(args=["--ros-args", *words])
+        ends.callback(rclpy.try_shutdown)
+        executor = SingleThreadedExecutor()
+        node = Kinematics(executor)
+        ends.callback(node.destroy_node)
+        ends.callback(executor.shutdown, timeout_sec=1.0)
+        ends.callback(node.close)
+        executor.add_node(node)
+        over = threading.Event()
 
-    def spin() -> None:
-        while not over.is_set():
-            executor.spin_once(timeout_sec=0.1)
+        def spin() -> None:
+            while not over.is_set():
+                executor.spin_once(timeout_sec=0.1)
 
-    thread = threading.Thread(target=spin)
-    thread.start()
-    try:
+        thread = threading.Thread(target=spin)
+        thread.start()
+        ends.callback(thread.join)
+        ends.callback(over.set)
         yield node
-    finally:
-        over.set()
-        thread.join()
-        node.close()
-        executor.shutdown(timeout_sec=1.0)
-        node.destroy_node()
-        rclpy.try_shutdown()

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from geometry_msgs.msg import Point, PoseWithCovarianceStamped
+from nodes_bench import PATIENCE_S
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from sensor_msgs.msg import Temperature
@@ -20,12 +21,15 @@ from walking import Walk
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.frame_tree import carry_place
 from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.jobs.client import Pace
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, stamp_of
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.msg import DriverState, Motion
 
+QUICK = Pace(sightings=1, dwell_s=0.1, move_s=0.05, look_s=PATIENCE_S)
+"""Short visits; a busy machine may be late with its sightings."""
 _PERIOD_S = 0.015
 _TRIMS_AFTER = 60
 """Cycles that it stands at the end of a way before it trims its joints."""

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from nodes_bench import bench
+from nodes_bench import PATIENT, bench
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.jobs.client import ArmClient
@@ -32,7 +32,7 @@ def simulated_graph(
     tips: graph.Topic = graph.TIP_BY_READINGS, **nodes: Mapping[str, Any],
 ) -> Iterator[ArmClient]:  # fmt: skip
     """Run it with parameters of `kinematics` and of others; a busy machine may be late."""
-    usual = {"method": "deflection", "compiled": False, "target_max_age_s": 60.0}
+    usual = {"method": "deflection", "compiled": False, **PATIENT}
     up = BringUp(
         arm=arm, model=model, sim=True, speed=speed,
         set={**nodes, "kinematics": {**usual, **kinematics}},

@@ -41,12 +41,8 @@ from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, save_model, store
 from longarm_comp.core.model.uncertainty import (
-    LEVEL,
     ModelUncertainty,
-    decode_triangle,
-    encode_triangle,
     sizes,
-    triangular,
 )
 from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.hidden.drives import JointGain
@@ -68,25 +64,6 @@ def fresh(n: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
     rng = np.random.default_rng(seed)
     q = ARM.lower + rng.random((n, ARM.n)) * (ARM.upper - ARM.lower)
     return q, rng.choice([-1.0, 1.0], n)
-
-
-@pytest.mark.parametrize("axes", [(1.0, 1.0, 1.0), (1.0, 0.3, 0.01), (1.0, 1e-3, 1e-3)])
-@pytest.mark.parametrize("known", [(0.0, 0.0, 0.0), (1.5, 0.2, 0.0)])
-def test_lengths_of_normal_errors(
-    axes: tuple[float, ...], known: tuple[float, ...], rng: np.random.Generator
-) -> None:
-    turned = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-    factor = turned * np.array(axes)
-    mean = turned @ np.array(known)
-    drawn = np.linalg.norm(mean + rng.standard_normal((200_000, 3)) @ factor.T, axis=1)
-    expected, within = sizes(factor @ factor.T, mean)
-    assert expected == pytest.approx(drawn.mean(), rel=0.025)
-    assert within == pytest.approx(np.quantile(drawn, LEVEL), rel=0.025)
-
-
-def test_an_error_that_is_known_is_its_own_length() -> None:
-    assert np.allclose(sizes(np.zeros((3, 3)), np.array([3.0, 0.0, 4.0])), 5.0)
-    assert np.allclose(sizes(np.zeros((3, 3))), 0.0)
 
 
 @pytest.mark.parametrize("hidden", [[ZEROS], [ZEROS, LACKING]], ids=["known", "lacking"])
@@ -276,14 +253,6 @@ def test_a_damaged_record_is_refused(tmp_path: Path, change, said: str) -> None:
     path.write_text(yaml.safe_dump(data))
     with pytest.raises(InputError, match=said):
         load_model(path, ARM)
-
-
-def test_a_triangle_is_written_and_read(rng: np.random.Generator) -> None:
-    factor = rng.standard_normal((7, 3)) * 10.0 ** rng.uniform(-8, 1, (7, 1))
-    made = triangular(factor)
-    assert np.allclose(made, np.tril(made))
-    np.testing.assert_allclose(made @ made.T, factor @ factor.T, rtol=1e-9)
-    np.testing.assert_allclose(decode_triangle(encode_triangle(made)), made, rtol=1e-6)
 
 
 def test_another_fit_forgets_what_was_known() -> None:

@@ -292,9 +292,18 @@ def test_bad_options_are_one_clear_error(rng: np.random.Generator) -> None:
             Lattice.of(case.arm, **{field: value})
 
 
-def test_a_model_is_asked_inside_the_limits_only(rng: np.random.Generator) -> None:
+def test_joints_stand_on_steps_inside_the_limits_also_beside_them(
+    rng: np.random.Generator,
+) -> None:
+    """0.6 of a step beside a limit the nearest step lies outside, and is not rounded to."""
     case = Linear.draw(rng)
+    beside = 0.2 * case.lattice.step
+    limits = zip(case.arm.lower - beside, case.arm.upper + beside, strict=True)
+    case.arm = arm_of(list(limits), [3])
     case.ideal[:4] = case.arm.lower
     case.ideal[4:8] = case.arm.upper
-    got = case.choose()  # `predict` looks
+    got = case.choose()  # `predict` looks at the limits
     assert (got.error[:, 0] <= got.rounded_error[:, 0]).all()
+    for joints in (got.joints, got.rounded):
+        k = (joints - case.lattice.offset) / case.lattice.step
+        np.testing.assert_allclose(k, np.rint(k), atol=1e-9)

@@ -7,23 +7,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from quick_predictor import FAST, quick_predictor, rows
+from quick_predictor import FAST
 
 from bench.smooth import LOWER, UPPER, rms_mm, smooth_residual, smooth_set
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.history import recorded_history
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.ensemble import train
-
-
-@pytest.fixture(name="data")
-def data_():
-    return rows()
-
-
-@pytest.fixture(name="small")
-def small_():
-    return quick_predictor()
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 from places import ROOT
-from quick_predictor import ORIGIN, quick_predictor, rows
+from quick_predictor import ORIGIN
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor_file import load, save
@@ -26,16 +26,6 @@ seen = 3e-3 * q[:, :3] + 4e-4 * rng.standard_normal((300, 3))
 quick = {"hidden": 15, "ensemble": 1, "iterations": 5, "population": 10}
 save(train(q, seen, seed=2, **quick), sys.argv[1])
 """
-
-
-@pytest.fixture(name="data")
-def data_():
-    return rows()
-
-
-@pytest.fixture(name="small")
-def small_():
-    return quick_predictor()
 
 
 def test_a_saved_predictor_comes_back_the_same(data, small, tmp_path):
