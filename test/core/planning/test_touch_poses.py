@@ -6,17 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from touching import (
-    ARM,
-    SOCKETS,
-)
+from touching import ARM, SOCKETS
 
 import longarm_comp as la
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.planning.optimal_poses import Uncertainty
-from longarm_comp.core.planning.touch_poses import draw_touch_poses
+from longarm_comp.core.planning.optimal_poses import Uncertainty, draw_touch_poses
 from longarm_comp.sessions.poses import read_poses, write_poses
 
 
