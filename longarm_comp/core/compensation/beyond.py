@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import INCLINATION, Context, is_told
+from longarm_comp.core.compensation.unshown import describe_range
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
@@ -90,7 +91,7 @@ def list_beyond(model: Model, q: np.ndarray, context: Context) -> list[Beyond]:
         )
         mm = 1e3 * np.linalg.norm(np.sqrt(change**2 + rest), axis=1)
         text = [
-            f"{name} {value:.4g} is beyond the session's {low:.4g} to {high:.4g}"
+            f"{name} {value:.4g} is beyond the session's {describe_range(low, high)}"
             f" (sigma {size:.2f} mm)"
             if there
             else ""

@@ -56,8 +56,8 @@ def at(payload_kg: float) -> Context:
 def test_a_part_of_an_unknown_miss_is_no_promise() -> None:
     """What a payload adds was promised alone, where nothing told the rest."""
     unknown = ExpectedMiss(np.zeros(3), np.full((3, 3), np.nan))
-    assert np.isnan(unknown.plus(np.full(3, 1e-6)).sizes).all()
-    known = ExpectedMiss(np.zeros(3), 1e-6 * np.eye(3)).plus(np.full(3, 3e-6))
+    assert np.isnan(unknown.plus(1e-6 * np.eye(3)).sizes).all()
+    known = ExpectedMiss(np.zeros(3), 1e-6 * np.eye(3)).plus(3e-6 * np.eye(3))
     np.testing.assert_allclose(known.sigma, 2e-3)
 
 
