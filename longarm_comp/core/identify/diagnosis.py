@@ -59,7 +59,8 @@ class Diagnosis:
         causes: functions without a name, largest first.
         fits: fits of the models calibrated, with_effects and (if there are functions)
             with_functions, by name, to the same rows with the same noise.
-        expected: by these names, the mean error, m, that a command is expected to have.
+        expected: by these names, the mean error, m, that a command is expected to have; empty if no
+            held-out row tells the tip's position.
         intervals: intervals of the parameters of the model to use, by position in its slots.
         structure: the structure that is left in the residual.
         set_aside: rows that the fit of the model to use set aside as outliers.
