@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.arm.context import INCLINATION, Context, is_told
-from longarm_comp.core.compensation.unshown import describe_range
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.units import describe_range
 from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
 from longarm_comp.core.model.tip_motion import stack
 from longarm_comp.core.model.uncertainty import YIELDS

@@ -19,6 +19,7 @@ from longarm_comp.core.arm.context import LEGS, PER_JOINT, Context
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.units import describe_range
 from longarm_comp.core.model.domain import RowDomain, least_moved
 from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
@@ -105,11 +106,6 @@ def describe_unshown(arm: Arm, rows: Session) -> str:
     )
 
 
-def describe_range(low: float, high: float) -> str:
-    """Write the ends of a range, or its only value."""
-    return " to ".join(dict.fromkeys((f"{low:.4g}", f"{high:.4g}")))
-
-
 def _sides(context: Context, q: np.ndarray) -> np.ndarray:
     """Return the sides from which the joints arrive at commands (M, n); 0: unknown."""
     given = context.of_all("approach", q.shape[1])
@@ -135,7 +131,7 @@ def _judge_effects(
     if name in model.memo:
         held: _Unshown = model.memo[name]
         return held
-    arm, places = model.arm, domain.q
+    arm, places = model.arm, domain.q.copy()
     effects = _list_effects(model, known, arm.commanded[joint])
     fitted, absent = model.uncertain_slots(known), slots_of(arm, effects)
     # The forms of an effect exclude each other: they share its variance
@@ -145,6 +141,8 @@ def _judge_effects(
     shares = _shares_of_sides(model)
     drawn = np.random.default_rng(0).random(places.shape) < shares[:, 1]
     unmoved = (np.ptp(places, axis=0) <= arm.telling) & (shares[:, 0] == 0.5)
+    if not np.isfinite(domain.span[joint]):  # such rows do not tell how an error varies with it
+        places[:, joint] = places[:, joint].mean()
     came = _arriving(Context(), np.where(drawn | unmoved, 1.0, -1.0))
     noise = math.sqrt(max(float(np.trace(known.noise + known.structure)) / 3.0, 1e-12))
     columns = _columns(model, places, came, (*fitted, *absent))

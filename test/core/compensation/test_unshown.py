@@ -44,13 +44,17 @@ def friction(joint: int) -> TrueArm:
 
 
 @cache
-def session(true: TrueArm, still: int | None = None, one_sided: int | None = None) -> Session:
+def session(
+    true: TrueArm, still: int | None = None, one_sided: int | None = None, moved: float = 0.0
+) -> Session:
+    """Rows of an arm; its joint `still` moves by a share of its range only."""
     rng = np.random.default_rng(0)
     q = rng.uniform(ARM.lower, ARM.upper, (60, ARM.n))
     sides = rng.choice([-1.0, 1.0], q.shape)
     if still is not None:
-        q[:, still] = ARM.lower[still] + 0.3 * (ARM.upper - ARM.lower)[still]
-        sides[:, still] = 0.0
+        share = 0.3 + moved * rng.random(60)
+        q[:, still] = ARM.lower[still] + share * (ARM.upper - ARM.lower)[still]
+        sides[:, still] *= moved > 0.0
     if one_sided is not None:
         sides[:, one_sided] = 1.0
     seen = true.tip(q, TrueContext(approach=sides)) + 2e-4 * rng.standard_normal((60, 3))
@@ -83,9 +87,12 @@ def missed(true: TrueArm, model: Model, q: np.ndarray, sides: np.ndarray) -> np.
     return np.asarray(np.linalg.norm(off, axis=1))
 
 
-def test_a_joint_that_never_moved_widens_the_promise_of_commands_that_move_it() -> None:
+@pytest.mark.parametrize(("moved", "range_"), [(0.0, "0.3142: "), (0.08, "0.31")])
+def test_a_joint_that_hardly_moved_widens_the_promise_of_commands_that_move_it(
+    moved: float, range_: str
+) -> None:
     true = gain(HELD)
-    rows = session(true, still=HELD)
+    rows = session(true, still=HELD, moved=moved)
     model, (q, sides) = learned(rows), commands(rows)
     sides[:, HELD] = 0.0
     as_in_rows, quiet = promised(model, q, sides)
@@ -96,7 +103,8 @@ def test_a_joint_that_never_moved_widens_the_promise_of_commands_that_move_it() 
     off = missed(true, model, away, sides)
     assert (off < p90).mean() > 0.9 > (off < 1.5 * as_in_rows).mean()
     assert all(
-        each.startswith(f"joint4 {ARM.upper[HELD]:.4g} is beyond the session's 0.3142: its play, ")
+        each.startswith(f"joint4 {ARM.upper[HELD]:.4g} is beyond the session's {range_}")
+        and ": its play, " in each
         and each.count("(sigma ") == 1
         for each in why
     )
