@@ -25,6 +25,7 @@ from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 _FAR = 1e6  # rad, m: farther than any play
+_LEAST_MM = 0.01  # a smaller standard deviation is not worth a word
 _SIDES = ("above", "below")
 
 
@@ -68,18 +69,24 @@ def unshown_effects(model: Model, q: np.ndarray, context: Context) -> tuple[np.n
     sides, shares, least = _sides(context, q), _shares_of_sides(model), least_moved(arm)
     for j, name in enumerate(arm.joint_names):
         low, high = known.circumstances.get(f"q{j + 1}", (-np.inf, np.inf))
+        moved = bool(high - low > least[j])
         away = np.maximum(low - q[:, j], q[:, j] - high) > arm.telling[j]
-        away &= high - low <= least[j]
+        away &= not moved
         only = int(shares[j].argmax())
         other = np.full(len(q), shares[j, only] == 1.0 and high - low > arm.telling[j])
         other &= sides[:, j] != (-1.0, 1.0)[only]
         here = np.flatnonzero(away | other)
         if not len(here):
             continue
-        effects = _judge_effects(model, known, known.domain, j)
+        effects = _judge_effects(model, known, known.domain, j, moved)
+        if not effects.text:  # the model holds them all
+            continue
         added = _compute_covariance(model, q[here], context.take(here), effects)
         covariance[here] += added
-        for k, mm in zip(here.tolist(), 1e3 * np.sqrt(np.einsum("kii->k", added)), strict=True):
+        sizes = np.sqrt(np.maximum(np.einsum("kii->k", added), 0.0))
+        for k, mm in zip(here.tolist(), 1e3 * sizes, strict=True):
+            if mm < _LEAST_MM:
+                continue
             how = f"{name} arrived from {_SIDES[only]} in every row and may not here"
             if away[k]:
                 how = f"{name} {q[k, j]:.4g} is beyond the session's {describe_range(low, high)}"
@@ -124,15 +131,21 @@ def _shares_of_sides(model: Model) -> np.ndarray:
 
 
 def _judge_effects(
-    model: Model, known: ModelUncertainty, domain: RowDomain, joint: int
+    model: Model, known: ModelUncertainty, domain: RowDomain, joint: int, moved: bool
 ) -> _Unshown:
-    """Compute what the rows say of the effects of a joint, from the places where they stood."""
+    """Compute what the rows say of the effects of a joint, from the places where they stood.
+
+    Args:
+        moved: whether the joint moved by more than `LEAST_MOVED`.
+    """
     name = f"unshown {joint}"
     if name in model.memo:
         held: _Unshown = model.memo[name]
         return held
     arm, places = model.arm, domain.q.copy()
     effects = _list_effects(model, known, arm.commanded[joint])
+    if moved:  # the rows show all but what depends on the side
+        effects = [effect for effect in effects if effect.inputs]
     fitted, absent = model.uncertain_slots(known), slots_of(arm, effects)
     # The forms of an effect exclude each other: they share its variance
     forms = np.array([sum(e.key == s.owner.key for e in effects) for s in absent])
@@ -141,7 +154,7 @@ def _judge_effects(
     shares = _shares_of_sides(model)
     drawn = np.random.default_rng(0).random(places.shape) < shares[:, 1]
     unmoved = (np.ptp(places, axis=0) <= arm.telling) & (shares[:, 0] == 0.5)
-    if not np.isfinite(domain.span[joint]):  # such rows do not tell how an error varies with it
+    if not moved:  # such rows do not tell how an error varies with it
         places[:, joint] = places[:, joint].mean()
     came = _arriving(Context(), np.where(drawn | unmoved, 1.0, -1.0))
     noise = math.sqrt(max(float(np.trace(known.noise + known.structure)) / 3.0, 1e-12))

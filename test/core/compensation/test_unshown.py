@@ -21,6 +21,8 @@ from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.compensation.sighting import error_of_sighting
 from longarm_comp.core.compensation.unshown import describe_unshown, unshown_effects
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import searched_effects
+from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of, unstack
@@ -191,6 +193,19 @@ def test_where_every_joint_moved_from_both_sides_nothing_is_added() -> None:
     before = dataclasses.replace(model.uncertainty, domain=None)
     old = dataclasses.replace(model, uncertainty=before)
     assert not unshown_effects(old, 2.0 * q, Context())[0].any()
+
+
+def test_nothing_is_said_of_effects_that_the_model_holds() -> None:
+    model = learned(rows := session(friction(HELD), one_sided=HELD))
+    q, sides = commands(rows)
+    sides[:, HELD] = -1.0
+    context = Context(approach=tuple(sides.T))
+    kinds = [kind for kind in searched_effects() if issubclass(kind, Effect)]
+    every = [e for k in kinds for e in k.for_arm(ARM) if ARM.commanded[HELD] in e.joints]
+    by_side = {e.key: e for e in every if "approach" in e.inputs or "legs" in e.inputs}
+    for held in (by_side, {e.key: e for e in every}):
+        _, why = unshown_effects(model.with_missing(held.values()), q, context)
+        assert why == [""] * len(q)
 
 
 def test_the_model_of_a_file_promises_the_same() -> None:
