@@ -18,7 +18,7 @@ from longarm_comp.arm_folder.parameter_file import own_parameters, parameters_of
 from longarm_comp.core.arm import quaternion
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.plan import sobol
-from longarm_comp.core.errors import JobError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.devices.camera_info import CameraInfo
 
@@ -39,6 +39,9 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
     marker, mounted to face it, is turned away the least over 256 poses. A camera that the arm
     declares keeps its place and direction. The marker has 2 x 2 tags, a fifth of a tag apart, and
     its centre is the tip.
+
+    Raises:
+        InputError: a camera that the arm declares looks away from where the tip can be.
     """
     from longarm_comp.sim.cameras import CameraPair  # takes a second, with OpenCV
 
@@ -67,6 +70,10 @@ def head_for(arm: Arm) -> dict[str, dict[str, Any]]:
         distance = max(float((wide / slope - deep).max()) for slope, wide in ends)
         if given:
             distance = float((middle - given.position_m) @ axis)
+            if not distance > 0.0:
+                said = f"looks away: the tip is around {_round_to(middle, 2)}"
+                allowed = "position_m and optical_axis of a camera that faces the tip"
+                raise InputError(arm.name, "camera", said, allowed)
     baseline = round(_BASELINE * distance, 3)
     position = middle - distance * axis - 0.5 * baseline * x
     if given:

@@ -10,7 +10,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import JobError
 from longarm_comp.jobs.graph_client import FOUND_S, GraphClient, Interrupted
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.workflows.apply import Applied, apply
+from longarm_comp.workflows.apply import Applied, apply, read_addition
 from longarm_comp.workflows.inputs import Note, log_note
 from longarm_comp.workflows.model_in_use import undo
 
@@ -49,9 +49,11 @@ def apply_on_graph(
     file for one.
 
     Raises:
-        JobError: kinematics has no model file, or a node did not read its new file. In the latter
-            case the change is undone.
+        InputError: the folder holds no diagnosis.
+        JobError: the diagnosis adds nothing; kinematics has no model file; or a node did not read
+            its new file. In the last case the change is undone.
     """
+    read_addition(diagnosis)  # before the graph is waited for
     files = files_at_work(client)
     if network and files.predictor is None:
         note("no predictor is trained: error_predictor is not there or was started without a file")

@@ -161,10 +161,7 @@ def apply(
         JobError: the diagnosis adds nothing.
     """
     with alone_in(follow_link(model).parent):  # also while a network is trained
-        report, made = read_report(diagnosis), diagnosis / inputs.MODEL
-        nothing = nothing_to_apply(diagnosis, report)
-        if nothing:
-            raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
+        report, made = read_addition(diagnosis), diagnosis / inputs.MODEL
         stored = read_stored(made)
         diagnosed = str(stored.provenance.get("session_hash"))
         if report.provenance.data_sha256 != diagnosed:
@@ -200,6 +197,19 @@ def take_back(diagnosis: Path, model: Path, predictor: Path | None = None) -> No
     made = diagnosis / inputs.MODEL
     if model.is_file() and made.is_file() and model.read_bytes() == made.read_bytes():
         undo(model, predictor)
+
+
+def read_addition(diagnosis: Path) -> DiagnosisReport:
+    """Read the report of a diagnosis that adds something to the model in use.
+
+    Raises:
+        InputError: the folder holds no report.
+        JobError: the diagnosis adds nothing, or its data were refused.
+    """
+    report = read_report(diagnosis)
+    if nothing := nothing_to_apply(diagnosis, report):
+        raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
+    return report
 
 
 def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:

@@ -130,6 +130,14 @@ def test_a_camera_that_the_arm_declares_stays_where_it_is(shell: Shell) -> None:
     assert "arm.yaml: camera" not in shell.out
 
 
+def test_a_camera_that_looks_away_from_the_tip_is_refused(shell: Shell) -> None:
+    data = yaml.safe_load((made(shell, "first", *UR5, "--only-arm") / "arm.yaml").read_text())
+    data["camera"] = {"position_m": [0.2, 3.0, 0.5], "optical_axis": [0.0, 1.0, 0.0]}
+    (shell.folder / "mine.yaml").write_text(yaml.safe_dump(data))
+    assert "camera: 'looks away" in shell.refused("init", "second", "--arm", "mine.yaml")
+    assert not (shell.folder / "second").exists()
+
+
 @pytest.mark.parametrize("down", [-1.0, 1.0])
 def test_a_camera_may_look_straight_down_or_up(shell: Shell, down: float) -> None:
     """No direction is level then by itself: the pose of the head was not a number."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,3 +91,24 @@ def test_a_known_distance_that_the_arm_did_not_touch(
     said = shell.refused("calibrate", "arm.yaml", "s.csv", "-o", "m.yaml")
     assert words in said
     assert not (shell.folder / "m.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        ("index", [np.nan, 1], "'nan'; allowed: whole numbers"),
+        ("index", np.array([0.0, np.inf]), "'inf'; allowed: whole numbers"),
+        ("index", [0.5, 1], "'0.5'; allowed: whole numbers"),
+        ("repeat_id", [np.nan, 1], "'nan'; allowed: whole numbers"),
+        ("approach", ["up", "down"], "'up'\"; allowed: numbers"),
+        ("approach", [1.0], "'shape (1,)'; allowed: shape (2,) or (2, 3)"),
+        ("run_up", [["a"] * 3] * 2, "'a'\"; allowed: numbers"),
+        ("xyz", [["a"] * 3] * 2, "'a'\"; allowed: numbers"),
+        ("q", [[0.0], [0.0, 1.0]], "allowed: numbers"),
+    ],
+)
+def test_rows_that_are_no_numbers(field: str, value: Any, said: str) -> None:
+    rows = {"q": np.zeros((2, 3)), "xyz": np.zeros((2, 3)), field: value}
+    with pytest.raises(InputError) as refused:
+        Session.record(source="s.csv", **rows)
+    assert str(refused.value).startswith(f"s.csv: {field}: ") and said in str(refused.value)

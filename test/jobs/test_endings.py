@@ -15,6 +15,7 @@ import click
 import pytest
 from cli_shell import Shell
 from places import EXAMPLES
+from report_pages import sample, write_sample
 from touching import ARM
 
 from longarm_comp.core.errors import JobError
@@ -182,10 +183,20 @@ def test_apply_says_how_to_take_back_a_predictor_in_another_folder(
     client.parameters.side_effect = [(str(EXAMPLE), str(model)), (str(predictor),)]
     done = MagicMock(undo=f"longarm undo {model}")
     monkeypatch.setattr(apply_job, "apply", lambda *_, **__: done)
+    monkeypatch.setattr(apply_job, "read_addition", MagicMock())
     assert apply_job.apply_on_graph(client, tmp_path / "diagnosis", note=said.append) is done
     assert [text.partition(": ")[0] for text in said] == [
         f"longarm undo {model} --predictor {predictor}"
     ]
+
+
+def test_data_that_were_refused_are_not_applied_and_no_graph_is_asked(tmp_path: Path) -> None:
+    write_sample(*sample("bad_data"), tmp_path)
+    client = MagicMock()
+    with pytest.raises(JobError, match=r"nothing to apply: samples\.csv: x, y, z") as refused:
+        apply_job.apply_on_graph(client, tmp_path)
+    assert refused.value.facts["verdict"] == "bad_data"
+    client.parameters.assert_not_called()
 
 
 def test_a_model_that_a_node_refuses_is_put_back_with_its_predictor(
@@ -197,6 +208,7 @@ def test_a_model_that_a_node_refuses_is_put_back_with_its_predictor(
     client.parameters.side_effect = [(str(EXAMPLE), str(model)), (str(predictor),)]
     client.ask.return_value.success = False
     monkeypatch.setattr(apply_job, "apply", MagicMock())
+    monkeypatch.setattr(apply_job, "read_addition", MagicMock())
     monkeypatch.setattr(apply_job, "undo", put_back)
     with pytest.raises(JobError, match="kinematics did not take up its file"):
         apply_job.apply_on_graph(client, tmp_path / "diagnosis")

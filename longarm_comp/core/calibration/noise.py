@@ -324,7 +324,7 @@ def noise_from_residual(fit: ModelFit, extra: np.ndarray) -> tuple[NoiseEstimate
             determined = added.sum() - np.trace(posterior.covariance[np.ix_(added, added)])
             square_sum = (posterior.u[added] ** 2).sum()
             shrunk = float(np.sqrt(square_sum / max(determined, 1e-9)))
-        done = np.all((new == sigma) | (np.abs(new - sigma) < 0.01 * sigma))
+        done = np.allclose(new, sigma, rtol=0.01, atol=0.0)  # a channel without rows stays infinite
         sigma, size = np.maximum(new, 1e-7), float(np.clip(size * shrunk, 1e-4, 1.0))
         if done and abs(shrunk - 1.0) < 0.05:
             break

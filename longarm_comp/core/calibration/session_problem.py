@@ -34,6 +34,9 @@ FARTHEST_M = 200.0
 
 At 300 m rounding errors widen an interval of uncertainty by a half.
 """
+RUN_AWAY = 1e100
+"""Prediction (m, rad, or either per parameter) that counts as infinite: its square in units of the
+noise is hardly a number."""
 
 
 class SessionProblem:
@@ -98,7 +101,7 @@ class SessionProblem:
         self.near = self.posture
 
     def _check_finite(self, values: np.ndarray) -> None:
-        if not np.isfinite(values).all():
+        if not (np.abs(values) < RUN_AWAY).all():
             raise JobError("the fit did not stay finite", session=self.seen.source)
 
     def make_fit(

@@ -17,6 +17,7 @@ from longarm_comp.core.arm.context import INCLINATION, Context, is_told
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.units import describe_range
 from longarm_comp.core.ik.columns import tip_and_columns
 from longarm_comp.core.ik.engines import posture_at, tip_poses
 from longarm_comp.core.model.model import Model, Slot, slots_of
@@ -91,7 +92,7 @@ def list_beyond(model: Model, q: np.ndarray, context: Context) -> list[Beyond]:
         )
         mm = 1e3 * np.linalg.norm(np.sqrt(change**2 + rest), axis=1)
         text = [
-            f"{name} {value:.4g} is beyond the session's {low:.4g} to {high:.4g}"
+            f"{name} {value:.4g} is beyond the session's {describe_range(low, high)}"
             f" (sigma {size:.2f} mm)"
             if there
             else ""

@@ -37,6 +37,7 @@ from longarm_comp.core.compensation.result import (
     pseudo_targets,
 )
 from longarm_comp.core.compensation.unknown import missing_column, unknown_circumstances
+from longarm_comp.core.compensation.unshown import unshown_effects
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.ik.kernel import characteristic_length
@@ -115,9 +116,11 @@ def judge(
     rows = np.atleast_2d(command)
     spread, why = unknown_circumstances(physics, rows, context, doubtful)
     beyond, outside = outside_data(physics, rows, context)
-    if spread.any() or beyond.any():
-        miss = miss.plus((spread**2 + beyond**2).reshape(miss.mean.shape))
-    said = zip(why, outside, strict=True)
+    covariance, unshown = unshown_effects(physics, rows, context)
+    covariance += (spread**2 + beyond**2)[..., None] * np.eye(3)
+    if covariance.any():
+        miss = miss.plus(covariance.reshape(miss.covariance.shape))
+    said = zip(why, outside, unshown, strict=True)
     return miss, is_known, ["; ".join(filter(None, each)) for each in said]
 
 

@@ -66,12 +66,12 @@ class ExpectedMiss:
         means = np.concatenate([self.mean[None], self.mean + self.apart])
         return sizes(covariances, means, np.append(1.0 - self.chance.sum(), self.chance))
 
-    def plus(self, variance: np.ndarray) -> ExpectedMiss:
-        """Return the miss with a further independent error of variance (..., 3), m^2, per axis.
+    def plus(self, covariance: np.ndarray) -> ExpectedMiss:
+        """Return the miss with a further independent error of covariance (..., 3, 3), m^2.
 
         An unknown covariance stays NaN, because a part of an error is no bound of the whole.
         """
-        return replace(self, covariance=self.covariance + variance[..., None] * np.eye(3))
+        return replace(self, covariance=self.covariance + covariance)
 
 
 def spread_of(chance: np.ndarray, apart: np.ndarray, further: np.ndarray) -> np.ndarray:

@@ -44,6 +44,7 @@ from longarm_comp.core.compensation.result import (
 )
 from longarm_comp.core.compensation.take_up import PathLag, Reversal, slow_down, take_up_play
 from longarm_comp.core.compensation.unknown import missing_column, unknown_circumstances
+from longarm_comp.core.compensation.unshown import unshown_effects
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.ik.newton import REACHED
@@ -243,6 +244,7 @@ class _PathProblem:
             notes = [
                 *unknown_circumstances(self.physics, command[begins], context.take(begins))[1],
                 *outside_data(self.physics, command[rest], context.take(rest))[1],
+                *unshown_effects(self.physics, command[begins], context.take(begins))[1],
             ]
         if turn[worst := int(np.argmax(turn))] > REACHED:
             off = f"up to {np.degrees(turn[worst]):.2g} deg, at way-point {worst}"

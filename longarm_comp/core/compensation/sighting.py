@@ -15,6 +15,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.beyond import list_beyond, outside_data
 from longarm_comp.core.compensation.expected import expected_miss, spread_of, structure_left
 from longarm_comp.core.compensation.unknown import moved_by_payload, unknown_history
+from longarm_comp.core.compensation.unshown import unshown_effects
 from longarm_comp.core.compensation.weighing import SD
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
@@ -79,7 +80,7 @@ def error_of_sighting(
             structure = structure + spread_of(miss.chance, miss.apart, miss.further)
     else:
         structure = np.diag(np.maximum(learned**2 - np.diag(promised.noise), 0.0))
-    structure = structure + np.diag(outside**2)
+    structure = structure + np.diag(outside**2) + unshown_effects(model, here, context)[0][0]
     common = np.zeros((3, COMMON))
     common[:, :3] = factor_of(promised.frame)
     for beyond in list_beyond(model, here, context):

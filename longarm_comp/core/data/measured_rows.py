@@ -245,13 +245,28 @@ class MeasuredRows:
 def freeze(
     where: str, name: str, values: ArrayLike, kind: type, shape: tuple[int, ...]
 ) -> np.ndarray:
-    """Return values as a read-only array; raise `InputError` if they do not have a given shape.
+    """Return values as a read-only array; what others may still write to is copied.
 
-    What others may still write to is copied.
+    Raises:
+        InputError: they do not have a given shape, or a value is no number of the given kind.
     """
-    held: np.ndarray = np.asarray(values, dtype=kind)
+    if issubclass(kind, np.integer) and getattr(values, "dtype", None) != kind:
+        numbers, most = array_of(where, name, values), np.iinfo(kind).max
+        wrong = ~((numbers == np.floor(numbers)) & (np.abs(numbers) <= most))
+        if wrong.any():
+            allowed = f"whole numbers up to {most}"
+            raise InputError(where, name, f"{numbers[wrong][0]:g}", allowed)
+    held = array_of(where, name, values, kind)
     frozen = held.copy() if held is values and held.flags.writeable else held.view()
     if frozen.shape != shape:
         raise InputError(where, name, f"shape {frozen.shape}", f"shape {shape}")
     frozen.flags.writeable = False
     return frozen
+
+
+def array_of(where: str, name: str, values: ArrayLike, kind: type = float) -> np.ndarray:
+    """Return values as an array of a kind; InputError if they are of another, or of no shape."""
+    try:
+        return np.asarray(values, dtype=kind)
+    except (TypeError, ValueError) as error:
+        raise InputError(where, name, str(error), "text" if kind is str else "numbers") from error

@@ -26,7 +26,7 @@ from longarm_comp.core.arm.history import (
     straight_ways,
 )
 from longarm_comp.core.arm.measuring import KnownDistance
-from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, freeze
+from longarm_comp.core.data.measured_rows import ChannelBlock, MeasuredRows, array_of, freeze
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
 
@@ -84,7 +84,7 @@ class Session(MeasuredRows):
 
     def __post_init__(self) -> None:
         n_rows, n = _joints(self.source, self.q).shape
-        if np.isinf(np.asarray(self.xyz, dtype=float)).any():
+        if np.isinf(array_of(self.source, "xyz", self.xyz)).any():
             raise self.error("xyz", "not finite", "numbers in m, or NaN")
         shapes: dict[str, tuple[type, tuple[int, ...]]] = {
             "index": (np.int64, (n_rows,)),
@@ -146,6 +146,11 @@ class Session(MeasuredRows):
         repeat_id = np.full(len(q), -1) if repeat_id is None else repeat_id
         begun = np.full(q.shape, np.nan) if run_up is None else run_up
         begun = freeze(source, "run_up", begun, float, q.shape)
+        if approach is not None:
+            approach = array_of(source, "approach", approach)
+            if approach.shape not in (q.shape, q.shape[:1]):
+                allowed = f"shape {q.shape[:1]} or {q.shape}"
+                raise InputError(source, "approach", f"shape {approach.shape}", allowed)
         history = recorded_history(q, index, approach, begun)
         return cls(
             *(index, q, xyz, history.approach, repeat_id),
@@ -342,7 +347,7 @@ class Session(MeasuredRows):
 
 
 def _joints(where: str, q: np.ndarray) -> np.ndarray:
-    q = np.asarray(q, dtype=float)
+    q = array_of(where, "q", q)
     if q.ndim != 2 or q.shape[1] < 1:
         raise InputError(where, "q", f"shape {q.shape}", "(N, n) commanded joints")
     if not np.isfinite(q).all():

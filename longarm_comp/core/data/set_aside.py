@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.units import describe_range
 
 SIGNIFICANT = 1e-3
 """p-value, over all inputs, below which rows have a trait in common.
@@ -177,4 +178,4 @@ def _densest_stretch(values: np.ndarray, spoilt: np.ndarray, rows: np.ndarray) -
     best = int(np.argmin(chance))
     a, b = at[begin[best]], at[end[best]]
     count = int(rows[(values >= a) & (values <= b)].sum())
-    return f"{a:.4g} to {b:.4g}", count, float(chance[best])
+    return describe_range(a, b), count, float(chance[best])

@@ -19,6 +19,11 @@ _PER = {"rad": (math.degrees(1.0), "°"), "m": (1e3, "mm")}
 _READ = {**_PER, "1": (100.0, "%")}
 
 
+def describe_range(low: float, high: float) -> str:
+    """Write the ends of a range, or its only value."""
+    return " to ".join(dict.fromkeys((f"{low:.4g}", f"{high:.4g}")))
+
+
 def in_names(text: str, called: Mapping[str, str]) -> str:
     """Replace joints, rows and frames in a text by their names (`Arm.names_for_people`)."""
     return _PLACE.sub(lambda found: called.get(found[0], found[0]), text)

@@ -138,7 +138,7 @@ def diagnose(
         findings=named,
         causes=without_name,
         fits={name: fold_directions(fitted) for name, fitted in proved.fits.items()},
-        expected={name: float(each.mean()) for name, each in proved.expected.items()},
+        expected={name: float(each.mean()) for name, each in proved.expected.items() if len(each)},
         written=proved.written,
         failed=proved.failed,
         intervals=ends,

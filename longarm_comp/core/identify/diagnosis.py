@@ -12,6 +12,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.compensation.unshown import describe_unshown
 from longarm_comp.core.data.commanded import in_frame_of_start
 from longarm_comp.core.data.measurement import compute_posture
 from longarm_comp.core.data.session import Session
@@ -58,7 +59,8 @@ class Diagnosis:
         causes: functions without a name, largest first.
         fits: fits of the models calibrated, with_effects and (if there are functions)
             with_functions, by name, to the same rows with the same noise.
-        expected: by these names, the mean error, m, that a command is expected to have.
+        expected: by these names, the mean error, m, that a command is expected to have; empty if no
+            held-out row tells the tip's position.
         intervals: intervals of the parameters of the model to use, by position in its slots.
         structure: the structure that is left in the residual.
         set_aside: rows that the fit of the model to use set aside as outliers.
@@ -186,14 +188,15 @@ class Diagnosis:
 
     @property
     def summary(self) -> str:
-        """The verdict in one sentence, and the doubtful effects that were not added."""
+        """The verdict in one sentence, the doubtful effects, and what the rows cannot show."""
         gone = "; ".join(
             f"{f.name} at {', '.join(dict.fromkeys(t.where for t in f.terms))}"
             f" ({100 * f.presence:.0f} % probable)"
             for f in self.search.doubtful
         )
-        text = _describe_findings(self) + (f" In doubt, and not added: {gone}." if gone else "")
-        return in_names(text, self.arm.names_for_people)
+        doubt = f"In doubt, and not added: {gone}." if gone else ""
+        said = (_describe_findings(self), doubt, describe_unshown(self.arm, self.fit.session))
+        return in_names(" ".join(filter(None, said)), self.arm.names_for_people)
 
 
 def _describe_findings(found: Diagnosis) -> str:

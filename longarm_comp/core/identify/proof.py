@@ -60,6 +60,7 @@ class Proof:
             if no other row of its fold touches the same point.
         fold: (M,) number of the fold of each row of `errors`; all 0 if the rows to hold out were
             given.
+        fold_of_turned: (K,) the same of each row of `turned`.
     """
 
     errors: Mapping[str, np.ndarray]
@@ -67,11 +68,17 @@ class Proof:
     turned: Mapping[str, np.ndarray]
     rows_at: np.ndarray
     fold: np.ndarray
+    fold_of_turned: np.ndarray
 
     @property
     def rows(self) -> dict[str, Errors]:
         """Statistics of `errors` and `turned` by model name."""
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
+
+    @property
+    def turns(self) -> dict[str, np.ndarray]:
+        """Size (K,) of each error of the orientation, rad, by model name."""
+        return {name: np.linalg.norm(error, axis=1) for name, error in self.turned.items()}
 
     def expected_errors(
         self, found: Sequence[FoundEffect], names: Sequence[str]
@@ -93,20 +100,23 @@ class Proof:
         return made
 
 
-def describe_worsening(before: np.ndarray, after: np.ndarray, fold: np.ndarray) -> str:
+def describe_worsening(
+    before: np.ndarray, after: np.ndarray, fold: np.ndarray, unit: str = "mm"
+) -> str:
     """Say how much errors rise if this is not by chance, on all rows or on the worst; else "".
 
     Args:
-        before, after: (M,) m, the errors of two models at the same rows. The worst rows are the
-            share `WORST` of them, by the larger of both errors.
+        before, after: (M,) m or rad, the errors of two models at the same rows. The worst rows are
+            the share `WORST` of them, by the larger of both errors.
         fold: (M,) number of the fold of each row.
+        unit: ``mm`` or ``mrad``.
     """
     longest = np.maximum(before, after)
     worst = np.sort(np.argsort(-longest, kind="stable")[: math.ceil(WORST * len(longest))])
     for rows, said in ((np.arange(len(longest)), "rows"), (worst, "worst rows")):
         gain = Gain.of_lengths(before[rows], after[rows], fold[rows])
         if gain.ci95[1] < 0.0:
-            change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} mm"
+            change = f"{1e3 * gain.before:.2f} -> {1e3 * gain.after:.2f} {unit}"
             return f"{change} at {len(rows)} {said}"
     return ""
 
@@ -134,12 +144,17 @@ def prove_models(
             seen[name].append(compute_tip_errors(model, placed) - error)
             commanded[name].append(commanded_errors(model, placed) - error)
             turned[name].append(compute_turn_errors(model, bent))
-    each = [f.numbers[f.rows.placed] for f in made]
-    rows_at, of_fold = np.concatenate(each), np.repeat(np.arange(len(made)), [*map(len, each)])
-    order = np.argsort(rows_at)
-    turns = np.argsort(np.concatenate([f.numbers[f.rows.has_orientation] for f in made]))
+    (rows_at, of_fold), (turned_at, of_turned) = (
+        (np.concatenate(each), np.repeat(np.arange(len(made)), [*map(len, each)]))
+        for each in (
+            [f.numbers[f.rows.placed] for f in made],
+            [f.numbers[f.rows.has_orientation] for f in made],
+        )
+    )
+    order, turns = np.argsort(rows_at), np.argsort(turned_at)
     at_seen, at_commanded, at_turned = (
         {name: np.concatenate(parts)[rows] for name, parts in by_fold.items()}
         for by_fold, rows in ((seen, order), (commanded, order), (turned, turns))
     )
-    return Proof(at_seen, at_commanded, at_turned, rows_at[order], of_fold[order])
+    places = rows_at[order], of_fold[order], of_turned[turns]
+    return Proof(at_seen, at_commanded, at_turned, *places)

@@ -136,12 +136,19 @@ def prove_written(
     proof = prove_models(folds)
     expected = proof.expected_errors(search.found, list(fits))
     seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
-    choice = choose_written(expected, seen, proof.fold)
+    if len(proof.rows_at):
+        choice = choose_written(expected, seen, proof.fold)
+    else:  # only orientations were measured
+        turns = {name: proof.turns[name] for name in fits}
+        choice = choose_written(turns, turns, proof.fold_of_turned, "mrad")
     return ProvedModels(search, fits, models, held_out, folds, proof, expected, *choice)
 
 
 def choose_written(
-    expected: Mapping[str, np.ndarray], seen: Mapping[str, np.ndarray], fold: np.ndarray
+    expected: Mapping[str, np.ndarray],
+    seen: Mapping[str, np.ndarray],
+    fold: np.ndarray,
+    unit: str = "mm",
 ) -> tuple[str, str]:
     """Choose the model to write, and say how the proofs of fuller models failed.
 
@@ -151,9 +158,10 @@ def choose_written(
     equals the plainer one.
 
     Args:
-        expected: by model, plainer ones first: the (M,) expected errors of commands, m.
-        seen: by model: the (M,) errors as seen, m.
+        expected: by model, plainer ones first: the (M,) expected errors of commands, m or rad.
+        seen: by model: the (M,) errors as seen, m or rad.
         fold: (M,) number of the fold of each row.
+        unit: ``mm``, or ``mrad`` of errors in rad.
 
     Returns:
         The name of the chosen model, and the failed proofs in words.
@@ -162,7 +170,7 @@ def choose_written(
     for name, plainer in combinations(list(expected)[::-1], 2):
         if describe_worsening(expected[plainer], expected[name], fold):
             written.pop(name, None)
-        if rise := describe_worsening(seen[plainer], seen[name], fold):
+        if rise := describe_worsening(seen[plainer], seen[name], fold, unit):
             failed[name] = f"{plainer} -> {name}: {rise}"
     left = {name: each.mean() for name, each in written.items() if name not in failed}
     return min(left, key=left.__getitem__), "; ".join(failed.values())

@@ -41,6 +41,8 @@ from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
 TURNS = [Rotation.from_rotvec([0.7, -1.1, 1.84]), Rotation.from_rotvec([-3.0, 0.3, 0.2])]
 FAR = np.array([12.0, -15.0, 4.0])
 N = 120

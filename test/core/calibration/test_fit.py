@@ -24,6 +24,7 @@ from longarm_comp.core.calibration.noise import (
 )
 from longarm_comp.core.calibration.placed_model import placement_terms
 from longarm_comp.core.calibration.placement import place_bases
+from longarm_comp.core.calibration.session_problem import SessionProblem
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, LinkBending
 from longarm_comp.core.effects.geometry_errors import DhError, JointZero
@@ -32,7 +33,7 @@ from longarm_comp.core.effects.masses import UndeclaredWeight
 from longarm_comp.core.effects.placements import BasePose, TipOffset
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
-from longarm_comp.core.errors import InputError
+from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 
 SIGMA = 4e-4
@@ -220,6 +221,17 @@ def test_loads_and_what_yields_are_fitted_to_the_end_wherever_it_starts(
     cost = [(f.residual**2).sum() / SIGMA**2 for f in (end, again)]
     assert abs(cost[1] - cost[0]) < 2.0
     assert np.allclose(end.columns, end.model.columns(end.posture)[1], rtol=1e-9, atol=1e-12)
+
+
+def test_a_step_that_runs_away_is_no_number(rng: np.random.Generator) -> None:
+    """Its residual was finite, and the square of it was not."""
+    q = rng.uniform(SMALL.lower, SMALL.upper, (20, SMALL.n))
+    rows = Session.record(q, Model(SMALL).tip(q))
+    part = SessionProblem(Model(SMALL, (TipOffset(),)), rows, sigma=np.full(3, 1e-4))
+    part.move_to(np.full(3, 1e3), close=False)
+    assert part.compute_cost() > 1e15
+    with pytest.raises(JobError, match="did not stay finite"):
+        part.move_to(np.full(3, 1e155), close=False)
 
 
 def test_missing_inputs_are_named(arm: Arm, rng: np.random.Generator) -> None:

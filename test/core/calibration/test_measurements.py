@@ -229,14 +229,20 @@ def test_calibrate_and_evaluate_take_a_mixture(tmp_path: Path) -> None:
     assert errs["calibrated"].mean < 0.25 * errs["rigid"].mean
 
 
-def test_orientations_alone_name_an_effect_of_no_gain_in_millimetres() -> None:
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_orientations_alone_name_an_effect_and_prove_it_by_turns() -> None:
     rows = sensed(GAIN, n=60, seed=3)
     session = read(rows, xyz=nowhere(60), readings={"orientation": rows.quaternion()})
     held = sensed(GAIN, n=40, seed=9)
     test = read(held, xyz=nowhere(40), readings={"orientation": held.quaternion()})
-    with names_alone():
-        (found,) = diagnose(ARM, session, test=test, kinds=(JointGain,)).findings
-    assert (found.name, found.seen_mm) == ("joint_gain", (0.0, 0.0))
+    for rows_held_out in (test, None):
+        with names_alone():
+            made = diagnose(ARM, session, test=rows_held_out, kinds=(JointGain,))
+        (found,) = made.findings
+        assert (found.name, found.seen_mm) == ("joint_gain", (0.0, 0.0))
+        assert (made.written, made.failed, made.expected) == ("with_effects", "", {})
+        turns = made.proof.turns
+        assert turns["with_effects"].mean() < 0.2 * turns["calibrated"].mean()
 
 
 @pytest.mark.parametrize("kind", [pytest.param("pose", marks=pytest.mark.long), "mixture"])

@@ -154,7 +154,7 @@ def test_the_covariance_is_that_about_the_tip_of_the_model() -> None:
     apart, chance = miss.apart[0], 1.0 / (1.0 + np.e)
     more = chance * (apart[:, :, None] * apart[:, None, :] + miss.further[0])
     np.testing.assert_allclose(miss.covariance - before.covariance, more, atol=1e-12)
-    assert (miss.plus(np.full((300, 3), 1e-6)).sizes[1] > miss.sizes[1]).all()
+    assert (miss.plus(1e-6 * np.eye(3)).sizes[1] > miss.sizes[1]).all()
     q = at_three_positions().q  # where the rows stood both say the same
     there, usual = (
         expected_miss(m, q, Context(), m.tip(q, Context())).sizes[1] for m in (model, alone)

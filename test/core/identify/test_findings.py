@@ -90,14 +90,17 @@ def test_effects_are_compared_with_their_rivals_until_none_is_better(
 
 
 def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
-    (found,) = make_findings(
-        [gain(2, ("gear_eccentricity", 0.5)), gain(5, ("gear_eccentricity", 0.1))]
-    )
+    first = gain(2, ("gear_eccentricity", 0.5))
+    (own,) = first.rivals
+    there = replace(own, candidate=Candidate(GEAR.name, (GearEccentricity(2),)))
+    first = replace(first, rivals=(there,))
+    (found,) = make_findings([first, gain(5, ("gear_eccentricity", 0.1))])
     assert found.names == ("joint_gain", "gear_eccentricity")
     assert found.open
     assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3)
     assert found.chances[0][0] == "joint_gain"
     (rival,) = found.alternatives
+    assert rival.candidate.where == ("joint 2", "joint 5"), "further poses decide at both places"
     assert rival.probability == pytest.approx(0.3)
     assert rival.log_bayes_factor == pytest.approx(80.0 - 2.0)
     assert found.partial_aliases == ()

@@ -1,0 +1,245 @@
+"""Joints that hardly moved in the session, or arrived from one side: said, and in the promise.
+
+The true arm is the simulated one, which computes by other physics than the model.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from places import DEMO_ARM
+
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.arm.context import Context
+from longarm_comp.core.calibration.calibrate import fit_stages
+from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.compensation.compensate import compensate, judge
+from longarm_comp.core.compensation.result import Method
+from longarm_comp.core.compensation.sighting import error_of_sighting
+from longarm_comp.core.compensation.unshown import describe_unshown, unshown_effects
+from longarm_comp.core.data.session import Session
+from longarm_comp.core.effects.catalogue import searched_effects
+from longarm_comp.core.effects.effect import Effect
+from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.model.declared_model import declared_model
+from longarm_comp.core.model.model import Model, slots_of, unstack
+from longarm_comp.core.model.model_file import restore, store
+from longarm_comp.sim.arm_truth import TrueArm
+from longarm_comp.sim.context import TrueContext
+from longarm_comp.sim.hidden import drives
+from longarm_comp.sim.rods import QUICK_STEPS
+
+ARM = Arm.load(DEMO_ARM)
+ONE = np.eye(ARM.n)
+HELD = 3  # the joint, counted from 0, that hides something
+
+
+def gain(joint: int) -> TrueArm:
+    return TrueArm(ARM, [drives.JointGain(0.03 * ONE[joint])], steps=QUICK_STEPS)
+
+
+def friction(joint: int) -> TrueArm:
+    return TrueArm(ARM, [drives.FrictionHysteresis(4e-3 * ONE[joint])], steps=QUICK_STEPS)
+
+
+@cache
+def session(
+    true: TrueArm, still: int | None = None, one_sided: int | None = None, moved: float = 0.0
+) -> Session:
+    """Rows of an arm; its joint `still` moves by a share of its range only."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(ARM.lower, ARM.upper, (60, ARM.n))
+    sides = rng.choice([-1.0, 1.0], q.shape)
+    if still is not None:
+        share = 0.3 + moved * rng.random(60)
+        q[:, still] = ARM.lower[still] + share * (ARM.upper - ARM.lower)[still]
+        sides[:, still] *= moved > 0.0
+    if one_sided is not None:
+        sides[:, one_sided] = 1.0
+    seen = true.tip(q, TrueContext(approach=sides)) + 2e-4 * rng.standard_normal((60, 3))
+    return Session.record(q, seen, approach=sides, index=2 * np.arange(60))
+
+
+@cache
+def learned(rows: Session) -> Model:
+    *_, (_, fitted) = fit_stages(declared_model(ARM), rows)
+    return with_uncertainty(fitted)
+
+
+def commands(rows: Session) -> tuple[np.ndarray, np.ndarray]:
+    """Random joints amid the rows, and sides of arrival."""
+    rng = np.random.default_rng(1)
+    low, high = rows.q.min(axis=0), rows.q.max(axis=0)
+    q = low + rng.uniform(0.05, 0.95, (40, ARM.n)) * (high - low)
+    return q, rng.choice([-1.0, 1.0], q.shape)
+
+
+def promised(model: Model, q: np.ndarray, sides: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    context = Context(approach=tuple(sides.T))
+    tip = model.tip(q, context)
+    miss, _, why = judge(model, Method.DEFLECTION, q, context, tip, None)
+    return miss.sizes[1], why
+
+
+def missed(true: TrueArm, model: Model, q: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    off = true.tip(q, TrueContext(approach=sides)) - model.tip(q, Context())
+    return np.asarray(np.linalg.norm(off, axis=1))
+
+
+@pytest.mark.parametrize(("moved", "range_"), [(0.0, "0.3142: "), (0.08, "0.31")])
+def test_a_joint_that_hardly_moved_widens_the_promise_of_commands_that_move_it(
+    moved: float, range_: str
+) -> None:
+    true = gain(HELD)
+    rows = session(true, still=HELD, moved=moved)
+    model, (q, sides) = learned(rows), commands(rows)
+    sides[:, HELD] = 0.0
+    as_in_rows, quiet = promised(model, q, sides)
+    assert (missed(true, model, q, sides) < as_in_rows).mean() > 0.9 and not any(quiet)
+    away = q.copy()
+    away[:, HELD] = ARM.upper[HELD]
+    p90, why = promised(model, away, sides)
+    off = missed(true, model, away, sides)
+    assert (off < p90).mean() > 0.9 > (off < 1.5 * as_in_rows).mean()
+    assert all(
+        each.startswith(f"joint4 {ARM.upper[HELD]:.4g} is beyond the session's {range_}")
+        and ": its play, " in each
+        and each.count("(sigma ") == 1
+        for each in why
+    )
+    (one,) = compensate(model, None, model.tip(away[:1]), seed=away[:1], locked=range(ARM.n))
+    assert "joint4" in one.reason and one.p90_m > 2.0 * as_in_rows.max()
+
+
+def test_the_farther_it_moves_the_less_is_promised() -> None:
+    model = learned(rows := session(gain(HELD), still=HELD))
+    q, _ = commands(rows)
+    grown = []
+    for share in (0.3, 0.4, 0.6, 1.0):
+        q[:, HELD] = ARM.lower[HELD] + share * (ARM.upper - ARM.lower)[HELD]
+        covariance, _ = unshown_effects(model, q, Context())
+        grown.append(float(np.einsum("kii->", covariance)))
+    assert grown[0] == 0.0 and grown == sorted(grown) and grown[3] > 2.0 * grown[1]
+
+
+def test_a_side_from_which_a_joint_never_arrived_widens_the_promise() -> None:
+    true = friction(HELD)
+    rows = session(true, one_sided=HELD)
+    model, (q, sides) = learned(rows), commands(rows)
+    sides[:, HELD] = 1.0
+    as_in_rows, quiet = promised(model, q, sides)
+    assert (missed(true, model, q, sides) < as_in_rows).mean() > 0.9 and not any(quiet)
+    sides[:, HELD] = -1.0
+    p90, why = promised(model, q, sides)
+    off = missed(true, model, q, sides)
+    assert (off < p90).mean() > 0.9 > (off < as_in_rows).mean()
+    assert all(each.startswith("joint4 arrived from below in every row") for each in why)
+    sides[:, HELD] = 0.0  # either may be
+    assert (promised(model, q, sides)[0] > 1.5 * as_in_rows).all()
+
+
+def sizes_at_joint(model: Model, q: np.ndarray, sides: np.ndarray, joint: int = HELD) -> np.ndarray:
+    """What is added, as standard deviations of a joint's position, rad."""
+    covariance, _ = unshown_effects(model, q, Context(approach=tuple(sides.T)))
+    (zero,) = (t for t in JointZero.for_arm(ARM) if t.joint == ARM.commanded[joint])
+    columns = model.columns(model.posture(unstack(q)), slots_of(ARM, [zero]))[1]
+    return np.asarray(np.sqrt(np.einsum("kii->k", covariance) / (columns**2).sum(axis=(1, 2))))
+
+
+def test_what_is_added_has_the_size_that_such_effects_have() -> None:
+    """The other side: play of 20 mrad and friction of 11; a little away: half of these squares."""
+    upright = 0  # no load decides on which side of its play it rests
+    model = learned(rows := session(TrueArm(ARM, steps=QUICK_STEPS), one_sided=upright))
+    q, sides = commands(rows)
+    sides[:, upright] = -1.0
+    other = sizes_at_joint(model, q, sides, upright)
+    assert np.median(other) > 5e-3 and (other < 25e-3).all()
+    model = learned(rows := session(TrueArm(ARM, steps=QUICK_STEPS), still=HELD))
+    q, sides = commands(rows)
+    q[:, HELD] += 0.01 * (ARM.upper - ARM.lower)[HELD]
+    sides[:, HELD] = 0.0
+    assert np.median(sizes_at_joint(model, q, sides)) > 3e-3
+    still = dataclasses.replace(model, arrivals=tuple((0, 60) for _ in range(ARM.n)))
+    q[:, HELD] = rows.q[0, HELD]
+    sides = np.ones_like(q)
+    sides[:, HELD] = 0.0
+    assert not sizes_at_joint(still, q, sides).any()  # it stays as it came
+
+
+def test_a_zero_that_the_drawing_does_not_expect_makes_such_effects_larger() -> None:
+    """It may be the friction of a joint that arrived from one side."""
+    added = []
+    for lag in (0.0, 15e-3):
+        true = TrueArm(ARM, [drives.FrictionHysteresis(lag * ONE[HELD])], steps=QUICK_STEPS)
+        model = learned(rows := session(true, one_sided=HELD))
+        q, sides = commands(rows)
+        sides[:, HELD] = -1.0
+        added.append(sizes_at_joint(model, q, sides).mean())
+    assert added[1] > 1.3 * added[0]
+
+
+def test_where_every_joint_moved_from_both_sides_nothing_is_added() -> None:
+    model = learned(rows := session(friction(HELD)))
+    q, sides = commands(rows)
+    for given in (sides, 0.0 * sides):
+        covariance, why = unshown_effects(model, q, Context(approach=tuple(given.T)))
+        assert not covariance.any() and not any(why)
+    assert model.uncertainty is not None
+    unknown = dataclasses.replace(model, arrivals=())
+    assert not unshown_effects(unknown, q, Context())[0].any()
+    before = dataclasses.replace(model.uncertainty, domain=None)
+    old = dataclasses.replace(model, uncertainty=before)
+    assert not unshown_effects(old, 2.0 * q, Context())[0].any()
+
+
+def test_nothing_is_said_of_effects_that_the_model_holds() -> None:
+    model = learned(rows := session(friction(HELD), one_sided=HELD))
+    q, sides = commands(rows)
+    sides[:, HELD] = -1.0
+    context = Context(approach=tuple(sides.T))
+    kinds = [kind for kind in searched_effects() if issubclass(kind, Effect)]
+    every = [e for k in kinds for e in k.for_arm(ARM) if ARM.commanded[HELD] in e.joints]
+    by_side = {e.key: e for e in every if "approach" in e.inputs or "legs" in e.inputs}
+    for held in (by_side, {e.key: e for e in every}):
+        _, why = unshown_effects(model.with_missing(held.values()), q, context)
+        assert why == [""] * len(q)
+
+
+def test_the_model_of_a_file_promises_the_same() -> None:
+    model = learned(rows := session(gain(HELD), still=HELD))
+    again = restore(store(model), ARM, "model.yaml")
+    q, sides = commands(rows)
+    q[:, HELD] = ARM.upper[HELD]
+    np.testing.assert_allclose(
+        promised(again, q, sides)[0], promised(model, q, sides)[0], rtol=1e-3
+    )
+
+
+def test_a_sighting_is_expected_as_the_promise_says() -> None:
+    model = learned(rows := session(gain(HELD), still=HELD))
+    assert model.uncertainty is not None
+    q, _ = commands(rows)
+    near, far = (
+        np.trace(error_of_sighting(model, model.uncertainty, at, Context(), np.zeros(3)).structure)
+        for at in (q[0], np.where(np.arange(ARM.n) == HELD, ARM.upper, q[0]))
+    )
+    assert far > 10.0 * near
+
+
+@pytest.mark.parametrize(
+    ("still", "one_sided", "said"),
+    [
+        (HELD, None, "joint4 hardly moved: "),
+        (None, 1, "joint2 arrived from one side only: "),
+        (HELD, 1, "joint4 hardly moved and joint2 arrived from one side only: "),
+        (None, None, ""),
+    ],
+)
+def test_the_report_says_what_the_rows_cannot_show(
+    still: int | None, one_sided: int | None, said: str
+) -> None:
+    text = describe_unshown(ARM, session(gain(HELD), still, one_sided))
+    assert text.startswith(said) and bool(text) == bool(said)
