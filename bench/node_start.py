@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -58,17 +57,19 @@ def ready_times(repeats: int = REPEATS, *, warm: bool = True) -> dict[str, list[
 def _commands(folder: Path, nodes: Sequence[str]) -> dict[str, list[str]]:
     """Commands of the reference and of each node, which end when they serve."""
     from bench.dummy_predictor import train_dummy
+    from longarm_comp.core.processes import run_module
     from longarm_comp.nodes.bringup import BringUp
 
     predictor = folder / "predictor.npz"
     train_dummy(demo_arm(), predictor)
     space = f"longarm_bench_{os.getpid()}"
     graph = BringUp(demo_arm_file(), predictor=predictor, sim=True, namespace=space)
-    commands = {"bare": [sys.executable, "-P", "-m", "bench.bare_node"]}
+    commands = {"bare": run_module("bench.bare_node")}
     started = graph.commands(folder)
     for node in nodes:
-        python, safe, flag, module, *rest = started[node]
-        commands[node] = [python, safe, flag, "bench.ready_node", module, *rest]
+        module = f"longarm_comp.nodes.{node}"
+        arguments = started[node][len(run_module(module)) :]
+        commands[node] = [*run_module("bench.ready_node"), module, *arguments]
     return commands
 
 

@@ -13,7 +13,6 @@ import math
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -32,6 +31,7 @@ from longarm_comp.arm_folder.servos import find_contradictions
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
+from longarm_comp.core.processes import run_module
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.state_folder import state_folder
@@ -318,8 +318,7 @@ class BringUp:
         space = ["-r", f"__ns:=/{self.namespace.strip('/')}"] if self.namespace else []
         made = {}
         for name in self.nodes:
-            # -P: modules are never looked for in the folder where the program was started
-            made[name] = [sys.executable, "-P", "-m", f"{PACKAGE}.nodes.{name}"]
+            made[name] = run_module(f"{PACKAGE}.nodes.{name}")
             made[name] += [*self.arguments(name), "--ros-args", *space]
             for file in self.files(name, bus, scratch):
                 made[name] += ["--params-file", str(file)]

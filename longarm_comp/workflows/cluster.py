@@ -10,6 +10,7 @@ from contextlib import ExitStack
 from typing import Any, TypeVar
 
 from longarm_comp.core.errors import InputError, JobError
+from longarm_comp.core.processes import starting_workers
 
 ANSWER_S, WORKER_S = 20.0, 60.0
 """Times (s) within which a scheduler must answer, and have a worker."""
@@ -37,6 +38,7 @@ def run_tasks(
         JobError: the scheduler has no worker, or is lost.
     """
     try:
+        from dask import config
         from dask.distributed import Client, KilledWorker, LocalCluster, as_completed
     except ImportError:
         wanted = "pip install 'longarm_comp[cluster]'"
@@ -45,12 +47,14 @@ def run_tasks(
     with ExitStack() as stack:
         target: Any = address
         if address == "local":
-            own = LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                dashboard_address=":0",
-                silence_logs=logging.ERROR,
-            )
+            kept = {"distributed.nanny.pre-spawn-environ.PYTHONSAFEPATH": "1"}  # when started again
+            with config.set(kept), starting_workers():
+                own = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    dashboard_address=":0",
+                    silence_logs=logging.ERROR,
+                )
             target = stack.enter_context(own)
         try:
             client = stack.enter_context(Client(target, timeout=ANSWER_S))

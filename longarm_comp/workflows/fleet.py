@@ -4,11 +4,11 @@ import csv
 import gc
 import hashlib
 import json
-import os
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -21,6 +21,7 @@ from longarm_comp.core.calibration.kind_of_arm import describe_table
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
+from longarm_comp.core.processes import starting_workers
 from longarm_comp.version import __version__
 from longarm_comp.workflows.cluster import run_tasks
 from longarm_comp.workflows.diagnose import diagnose_files
@@ -244,24 +245,21 @@ def _diagnose_each(
     if dask is None and jobs == 1:
         yield from (look(*one) for one in left)
         return
-    before = os.environ.get("PYTHONSAFEPATH")
-    # Processes must not look for modules in the folder where the program was started
-    os.environ.setdefault("PYTHONSAFEPATH", "1")
     try:
         if dask is not None:
             for one, made in run_tasks(look, left, dask, workers=jobs, asked="fleet"):
                 yield _failed_arm(*one, made) if isinstance(made, LongarmError) else made
             return
-        with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-            begun = {pool.submit(look, *one) for one in left}
+        with ExitStack() as stack:
+            with starting_workers():
+                pool = ProcessPoolExecutor(jobs, mp_context=get_context("spawn"))
+                stack.enter_context(pool)
+                begun = {pool.submit(look, *one) for one in left}
             for done in as_completed(begun):
                 yield done.result()
     except BrokenProcessPool as error:
         why = "fleet: a process was killed, perhaps for want of memory"
         raise JobError(f"{why}: call again, with fewer --jobs") from error
-    finally:
-        if before is None:
-            os.environ.pop("PYTHONSAFEPATH", None)
 
 
 def _failed_arm(member: _Member, kind: int, made_of: str, error: Exception) -> Diagnosed:

@@ -36,6 +36,7 @@ MOST_OF_IT = (
 _FIELD = 16
 """Bytes of a number that the parent of a program tells: its process id, then how it ended."""
 _MOST = 1 << 20
+_SAFE = ["-P"] if sys.version_info >= (3, 11) else []
 
 
 class ForkedProgram(subprocess.Popen[str]):
@@ -82,7 +83,7 @@ def _server() -> socket.socket:
         side.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _MOST)
     with there:
         process = subprocess.Popen(
-            [sys.executable, "-P", __file__, str(there.fileno())],
+            [sys.executable, *_SAFE, __file__, str(there.fileno())],
             pass_fds=(there.fileno(),),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,

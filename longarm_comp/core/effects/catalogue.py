@@ -12,6 +12,7 @@ import sys
 from collections.abc import Container
 from functools import cache
 from pathlib import Path
+from types import GenericAlias
 from typing import TypeVar
 
 from longarm_comp.core.arm.arm import Arm
@@ -199,8 +200,9 @@ def _file(kind: Kind) -> str:
 
 
 def _is_kind(value: object) -> bool:
-    of_ours = isinstance(value, type) and issubclass(value, (Effect, Bias))
-    return of_ours and not inspect.isabstract(value)
+    if not isinstance(value, type) or isinstance(value, GenericAlias):  # list[int], Python 3.10
+        return False
+    return issubclass(value, (Effect, Bias)) and not inspect.isabstract(value)
 
 
 def _check_kind(kind: Kind, source: str) -> None:
