@@ -18,8 +18,8 @@ def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
-        if any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
-            zeros = tuple(map(_zero, item))
+        if any(type(x) is np.ndarray and x.ndim == 1 for x in item):
+            zeros = tuple([type(x) is float and x == 0.0 for x in item])
             kinds.setdefault(zeros, []).append(key)
         else:
             yield [key], item

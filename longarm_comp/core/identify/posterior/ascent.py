@@ -47,10 +47,7 @@ class Explanation:
 
 
 def find_explanation(
-    bank: OfferBank,
-    known: Sequence[int] = (),
-    begun: Sequence[SingleEffect] | None = None,
-    restart: bool = True,
+    bank: OfferBank, known: Sequence[int] = (), begun: Sequence[SingleEffect] | None = None
 ) -> Explanation:
     """Find the best explanation by coordinate ascent, with a restart for each effect found.
 
@@ -60,22 +57,21 @@ def find_explanation(
 
     Args:
         known: numbers of the offers that were found before.
-        begun: the effects of an earlier explanation by the same offers. If given, the ascent starts
-            from these alone, and there is no restart.
-        restart: whether others are sought in the place of each effect found.
+        begun: the effects of an earlier explanation by the same offers. If given, the ascent also
+            starts from these instead of `known`, and there is no restart.
 
     Returns:
         The explanation of highest evidence, without effects that do not raise it.
     """
     most = len(known) + AT_ONCE
-    if begun is not None:
-        return _drop_superfluous(_add_effects(bank, begun, frozenset(), most))
     starts = [_add_effects(bank, (), frozenset(), most)]
-    if known:
-        starts.append(_add_effects(bank, as_certain(bank, known), frozenset(), most))
+    if begun or known:
+        starts.append(_add_effects(bank, begun or as_certain(bank, known), frozenset(), most))
     best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
+    if begun is not None:
+        return best
     shut_once: set[int] = set()
-    while restart and (left := [e for e in best.effects if e.best not in shut_once]):
+    while left := [e for e in best.effects if e.best not in shut_once]:
         effect = left[0]
         shut_once.add(effect.best)
         shut = frozenset(np.flatnonzero(effect.q > UNLIKELY).tolist())

@@ -77,8 +77,8 @@ class OfferedEffects:
         """Find the explanation of highest evidence.
 
         Args:
-            begun: the effects of an earlier explanation by the same offers, from which alone the
-                search starts.
+            begun: the effects of an earlier explanation by the same offers, from which the search
+                also starts.
         """
         best = find_explanation(self.bank, self.known, begun)
         offers = self._drop_idle_places(best.offers)
@@ -98,7 +98,7 @@ class OfferedEffects:
         again without each of them.
         """
         made = []
-        best = find_explanation(self.bank, self.known, restart=False)
+        best = find_explanation(self.bank, self.known, as_certain(self.bank, self.known))
         for effect in best.effects:
             shares: dict[str, tuple[float, Candidate]] = {}
             for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():

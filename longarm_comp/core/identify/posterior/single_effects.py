@@ -148,7 +148,8 @@ class OfferBank:
         """Return what is left of the offers if other effects take the places `held`."""
         if held not in self._beside:
             taken = sorted({n for key in held for n in self._numbers_at.get(key, ())})
-            rest = {n: self.offers[n].beside(held) for n in taken}
+            several = [n for n in taken if len(self.offers[n].keys) > 2]  # one or none is left of 2
+            rest = {n: self.offers[n].beside(held) for n in several}
             left = {n: offer for n, offer in rest.items() if offer is not None}
             kept = tuple((n, offer.keys) for n, offer in left.items())
             if kept not in self._table_of_left:
