@@ -182,11 +182,14 @@ def log_mass(lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
     """Return the log probability (same shape) of a unit normal variable between two bounds."""
     # As of the mirrored interval, if its tail is the smaller one: differences keep their digits
     low, high = np.minimum(lower, -upper), np.minimum(upper, -lower)
+    made, cut = np.zeros(high.shape), high < _WIDE / 2  # beyond, the tails are negligible
+    low, high = low[cut], high[cut]
     mass = np.asarray(log_ndtr(high))
     near = high - low < _WIDE
     outside = np.exp(np.minimum(log_ndtr(low[near]) - mass[near], -1e-300))
     mass[near] += np.log1p(-outside)
-    return mass
+    made[cut] = mass
+    return made
 
 
 def prior_root(like: np.ndarray) -> np.ndarray:

@@ -78,8 +78,9 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
 
     def gain(counts: np.ndarray, digits: type = float) -> np.ndarray:
         teeth = _rounding_errors(np.outer(share.astype(digits), counts.astype(digits)))
-        square = size.astype(digits) @ teeth**2
-        return np.asarray((along.astype(digits) @ teeth - square / counts) / counts)
+        first = along.astype(digits) @ teeth
+        square = size.astype(digits) @ np.square(teeth, out=teeth)
+        return np.asarray((first - square / counts) / counts)
 
     counts = np.arange(COARSEST, FINEST, APART)
     parts = np.array_split(counts, COARSEST)  # single precision: good to a ten thousandth of a step
@@ -94,4 +95,5 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
 
 def _rounding_errors(turns: np.ndarray) -> np.ndarray:
     """Return the change by rounding numbers of steps to whole ones, in steps."""
-    return np.asarray(np.rint(turns) - turns)
+    whole = np.rint(turns)
+    return np.subtract(whole, turns, out=whole)

@@ -228,6 +228,19 @@ def test_others_leave_their_places_and_names_where_they_are_more_likely_there_th
     )
 
 
+def test_a_coefficient_between_far_bounds_is_as_one_without_bounds(columns: np.ndarray) -> None:
+    """And one bound of an offer of two columns lowers the score of this offer alone."""
+    pair = Offer("b", ("b", "c"), ((1,), (2,)), NONE)
+    y = columns @ [2.0, 2.0, 1.0]
+    free, far, near = (
+        bank(y, columns, [single("a", 0), pair], np.array([np.inf, end, np.inf])).scores
+        for end in (np.inf, 30.0, 0.5)
+    )
+    assert far == pytest.approx(free, abs=1e-12)
+    assert near[0] == pytest.approx(free[0], abs=1e-12)
+    assert near[1] < free[1] - 1.0
+
+
 def test_a_restart_leaves_a_local_optimum() -> None:
     """One column imitates the sum of two: uphill it comes first and, alone, it would stay."""
     rng = np.random.default_rng(5)

@@ -129,15 +129,17 @@ def describe_doubts(fit: ModelFit, found: Sequence[Found]) -> tuple[str, ...]:
 
 def propose_poses(fit: ModelFit, found: Sequence[Found], count: int, seed: int) -> np.ndarray:
     """Propose (M, n) poses, rad and m, that would settle the doubts: up to `count` for each."""
+    arm, shapes = fit.model.arm, _list_shapes(found)
+    if not shapes:
+        return np.zeros((0, arm.n))
     from scipy.stats import qmc  # takes a quarter of a second
 
-    arm = fit.model.arm
     pool = arm.lower + (arm.upper - arm.lower) * qmc.Sobol(arm.n, seed=seed).random(POOL)
     recorded = fit.session.context().columns
     usual = Context(columns={k: np.full(POOL, float(np.median(v))) for k, v in recorded.items()})
     posture = fit.model.posture(unstack(pool), usual)
     chosen: list[int] = []
-    for shape in _list_shapes(found):
+    for shape in shapes:
         if isinstance(shape, Switch) and isinstance(shape.quantity, OfPosture):
             away = np.abs(np.asarray(shape.quantity.read(posture)) - shape.threshold)
             chosen += np.argsort(away + np.zeros(POOL), kind="stable")[:count].tolist()

@@ -121,7 +121,7 @@ class SingleEffect:
         """The number of the most probable offer; of equals, within rounding, the first."""
         return int(np.argmax(self.q >= (1.0 - ROUNDING) * self.q.max()))
 
-    @property
+    @cached_property
     def offer(self) -> Offer:
         """The most probable offer, without the places that other effects take."""
         return self._offer_of(self.best)

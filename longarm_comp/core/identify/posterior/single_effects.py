@@ -30,9 +30,9 @@ from longarm_comp.core.identify.posterior.offer_table import OfferTable, Product
 class _Beside(NamedTuple):
     """The offers that lose places to other effects."""
 
-    taken: list[int]  # their numbers
+    taken: np.ndarray  # their numbers
     left: dict[int, Offer]  # what is left of them, by number, if at least two places are
-    tables: list[OfferTable]  # of `left`
+    table: OfferTable  # of `left`
 
 
 class OfferBank:
@@ -78,9 +78,9 @@ class OfferBank:
         sites_of = np.array([offer.site for offer in offers])
         self._at_site = {site: sites_of == site for site in set(sites_of.tolist())}
         # By the places that other effects take: what is left of the offers. Many sets of places
-        # leave the same, so most of them share their tables.
+        # leave the same, so most of them share their table.
         self._beside: dict[frozenset[Hashable], _Beside] = {}
-        self._tables_of_left: dict[Hashable, list[OfferTable]] = {}
+        self._table_of_left: dict[Hashable, OfferTable] = {}
         self._evidences: dict[tuple[Offer, ...], float] = {}
 
     @cached_property
@@ -88,8 +88,8 @@ class OfferBank:
         return Products(self.gram, self.lower, self.upper, self.like)
 
     @cached_property
-    def _tables(self) -> list[OfferTable]:
-        return OfferTable.of(self._products, dict(enumerate(self.offers)))
+    def _table(self) -> OfferTable:
+        return OfferTable(self._products, dict(enumerate(self.offers)))
 
     def has_a_name(self, offer: Offer) -> bool:
         """Tell whether an offer is a function without a name that moves the rows as a named effect.
@@ -116,12 +116,10 @@ class OfferBank:
         The products of the columns with this residual are `along` (K,).
         """
         beside = self._beside_places(others.held)
-        scores, found = np.full(len(self.offers), -np.inf), []
-        for tables in (self._tables, beside.tables):
-            scores[beside.taken] = -np.inf
-            for table in tables:
-                scores[table.numbers], each = table.score_offers(along)
-                found.append(each)
+        scores, whole = self._table.score_offers(along)
+        scores[beside.taken] = -np.inf
+        if beside.left:
+            scores[beside.table.numbers], rest = beside.table.score_offers(along)
         scores[list(others.shut)] = -np.inf
         for name in others.names:
             scores[self._of_name[name]] += self.again
@@ -132,12 +130,10 @@ class OfferBank:
         q = weights / (weights.sum() + math.exp(-top))
         untouched = q.copy()
         untouched[beside.taken] = 0.0
-        shares = [untouched] * len(self._tables) + [q] * len(beside.tables)
-        every = zip([*self._tables, *beside.tables], found, shares, strict=True)
-        mean = sum(
-            table.mean_coefficients(each, share[table.numbers]) for table, each, share in every
-        )
-        return SingleEffect(self.offers, q, np.asarray(mean), beside.left)
+        mean = self._table.mean_coefficients(whole, untouched)
+        if beside.left:
+            mean = mean + beside.table.mean_coefficients(rest, q[beside.table.numbers])
+        return SingleEffect(self.offers, q, mean, beside.left)
 
     @cached_property
     def _numbers_at(self) -> dict[Hashable, list[int]]:
@@ -152,21 +148,19 @@ class OfferBank:
         """Return what is left of the offers if other effects take the places `held`."""
         if held not in self._beside:
             taken = sorted({n for key in held for n in self._numbers_at.get(key, ())})
-            rest = {n: self.offers[n].beside(held) for n in taken}
+            several = [n for n in taken if len(self.offers[n].keys) > 2]  # one or none is left of 2
+            rest = {n: self.offers[n].beside(held) for n in several}
             left = {n: offer for n, offer in rest.items() if offer is not None}
             kept = tuple((n, offer.keys) for n, offer in left.items())
-            if kept not in self._tables_of_left:
-                self._tables_of_left[kept] = OfferTable.of(self._products, left)
-            self._beside[held] = _Beside(taken, left, self._tables_of_left[kept])
+            if kept not in self._table_of_left:
+                self._table_of_left[kept] = OfferTable(self._products, left)
+            self._beside[held] = _Beside(np.array(taken, int), left, self._table_of_left[kept])
         return self._beside[held]
 
     @property
     def scores(self) -> np.ndarray:
         """(C,) log odds of every offer alone against none."""
-        made = np.full(len(self.offers), -np.inf)
-        for table in self._tables:
-            made[table.numbers] = table.score_offers(self.along)[0]
-        return made
+        return self._table.score_offers(self.along)[0]
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
         """Return the log evidence of some offers together, each with its prior odds against
