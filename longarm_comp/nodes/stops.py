@@ -47,6 +47,7 @@ class Stoppable(Protocol):
     def active(self) -> bool: ...
     @property
     def state(self) -> tuple[int, str]: ...
+    def tell_state(self) -> None: ...
 
 
 class Stops:
@@ -120,6 +121,12 @@ class Stops:
             return said
         finally:
             self._stopped = sleepless_s()
+            self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Tell at once that the arm was stopped, or goes on; orders from before are refused."""
+        self._fresh.begin_anew()
+        self._site.tell_state()
 
     def _end(self, asked: Asked) -> str:
         """End the stops that the request names; return the driver's state.
@@ -230,14 +237,13 @@ class Stops:
         if arm is not None and arm.doubt and Stop.FAULT in ends and not asks:
             raise JobError(f"{arm.doubt}; then configure the driver again and reset it")
         with self._latch.lift_stops(*ends):
-            if arm is None:
-                return
             left = set(self._latch.standing)
-            if stopped:
+            if arm is not None and stopped:
                 on = active and (not left or (self._was_on and left == {Stop.HOLD}))
                 arm.release(time.monotonic(), on=on)
-            elif active and not (self.standing or arm.powered):
+            elif arm is not None and active and not (self.standing or arm.powered):
                 arm.power(True)
+        self.begin_anew()
 
 
 def _is_end(asked: Asked) -> bool:

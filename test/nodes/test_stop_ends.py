@@ -12,7 +12,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+from builtin_interfaces.msg import Time
 from nodes_bench import Bench
+from rclpy.duration import Duration as Lapse
 from std_srvs.srv import SetBool, Trigger
 from stops_bench import MAX_AGE_S, StoppedArm, stopped_arm
 
@@ -179,6 +181,42 @@ def test_ends_while_no_arm_is_configured_answer_with_the_state(driver: StoppedAr
             answer = driver.ask(*end)
             assert answer.success and answer.message == "not configured"
         assert not driver.stops.standing and driver.on == {False}
+
+
+@pytest.mark.parametrize("stop", [graph.ESTOP, graph.HOLD])
+def test_an_order_from_before_a_stop_or_its_end_is_too_old_after_it(
+    driver: StoppedArm, stop: graph.Service
+) -> None:
+    """It waited, in its sender or on the way, no longer than an order may."""
+    now, fresh = driver.stage.node.get_clock().now, driver.fresh
+    fresh.max_age_s = 3600.0
+    before = now().to_msg()
+    assert not fresh.too_old(before)
+    assert driver.ask(stop, True).success
+    under = now().to_msg()
+    assert driver.ask(graph.RESET).success and driver.on == {True}
+    for old in (before, under):
+        assert "sent before the arm was stopped" in fresh.too_old(old)
+    assert not fresh.too_old(now().to_msg())
+    assert [standing for standing, _ in driver.told[-2:]] == [True, False]
+    fresh._turned -= 60.0  # the node was away: nobody knows when an order without a stamp came
+    assert "sent before the arm was stopped" in fresh.too_old(Time())
+    driver.ask(graph.RESET)  # it ends nothing
+    assert not fresh.too_old(now().to_msg())
+
+
+@pytest.mark.parametrize("ahead_s", [-1.0, 1.0])
+def test_a_clock_that_is_set_makes_no_old_order_new_nor_a_new_one_old(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch, ahead_s: float
+) -> None:
+    true, fresh = driver.stage.node.get_clock(), driver.fresh
+    before = true.now().to_msg()
+    assert driver.ask(graph.ESTOP, True).success and driver.ask(graph.RESET).success
+    ahead = Lapse(seconds=ahead_s)
+    is_set = SimpleNamespace(now=lambda: true.now() + ahead, ros_time_is_active=False)
+    monkeypatch.setattr(fresh, "_clock", is_set)
+    assert not fresh.too_old(is_set.now().to_msg())
+    assert "sent before" in fresh.too_old(before)
 
 
 def test_every_request_is_answered_whatever_another_raises(driver: StoppedArm) -> None:
