@@ -27,6 +27,8 @@ from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
 
+_MOMENT_S = 0.005
+"""Longest time, s, by which the disk may delay what the servos are sent. It mostly takes 1 ms."""
 _PASSING = {ServoTrouble.STALLED, ServoTrouble.NOT_FOLLOWING, ServoTrouble.LET_GO}
 """Troubles that a driver that begins anew cannot see, so that their faults are kept for it."""
 
@@ -107,7 +109,10 @@ class Stops:
                 if not self.estop:
                     self._was_on = arm is not None and arm.powered
                 self._latch.ask(stop)
-                self.let_go()
+                try:  # first, so that a process that is killed now has not forgotten it
+                    self._latch.mark(_MOMENT_S)
+                finally:
+                    self.let_go()
             else:
                 stop, done = Stop.HOLD, "held: torque on, trajectories refused"
                 if arm is not None and stop not in self._latch.standing:
@@ -207,7 +212,7 @@ class Stops:
         self._pay()
 
     def _try_again(self) -> None:
-        self._latch.keep()  # writes only what could not be written before
+        self._latch.keep(_MOMENT_S)  # writes only what could not be written before
         self._pay()
 
     def _pay(self) -> None:
