@@ -3,8 +3,8 @@
 When configured, the port is open and the servos are read. When active, their torque is on. Torque
 is switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process, but
 it stays on if the process ends because its terminal or supervisor is gone. An emergency stop, a
-hold, or a fault that a new driver could not see outlasts the process (`StopLatch`): while it is in
-force, the driver switches no torque on and accepts no trajectory, in any state.
+hold, or a fault other than lost power outlasts the process (`StopLatch`): while it is in force, the
+driver switches no torque on and accepts no trajectory, in any state.
 """
 
 from __future__ import annotations

@@ -29,8 +29,9 @@ PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empt
 
 _MOMENT_S = 0.005
 """Longest time, s, by which the disk may delay what the servos are sent. It mostly takes 1 ms."""
-_PASSING = {ServoTrouble.STALLED, ServoTrouble.NOT_FOLLOWING, ServoTrouble.LET_GO}
-"""Troubles that a driver that begins anew cannot see, so that their faults are kept for it."""
+_SWITCHED_OFF = {ServoTrouble.SILENT, ServoTrouble.SUPPLY}
+"""Troubles that come of switching the servos' power off: their faults end with the process. All
+others are kept for the next one, because to start a driver again must end no fault."""
 
 _ENDS: dict[graph.Service, tuple[frozenset[Stop], frozenset[FollowerState]]] = {
     graph.ESTOP: (frozenset({Stop.ESTOP}), frozenset({FollowerState.ESTOP})),
@@ -174,8 +175,8 @@ class Stops:
         return (DriverState.FAULT if faulty else DriverState.HOLDING), why
 
     def keep_fault(self, finding: JointFault) -> None:
-        """Keep a fault for the driver's next process, which could not see it, until a reset."""
-        if finding.trouble in _PASSING and Stop.FAULT not in self._latch.standing:
+        """Keep a fault for the driver's next process, until a reset."""
+        if finding.trouble not in _SWITCHED_OFF and Stop.FAULT not in self._latch.standing:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
             self._latch.ask(Stop.FAULT, what)
             self._latch.keep()
