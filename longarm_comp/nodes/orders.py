@@ -87,7 +87,7 @@ class Freshness:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
         self._turned = sleepless_s()
         self._away_s = self._back = 0.0
-        self.begin_anew()
+        self._anew_s, self._anew_ns = -math.inf, 0
         self._period_s = min(_WATCH_S, 0.1 * max_age_s)
         steady_timer(node, self._period_s, self._note_turn)
 
