@@ -136,7 +136,8 @@ class JointConfig(ServoSettings):
                 )
             else:
                 allowed += (
-                    "set its homing_offset to 0 with the maker's tool, then `longarm servo setup`"
+                    "set its homing_offset and reversal to 0 with the maker's tool, then `longarm "
+                    "servo setup`"
                 )
             raise Misdeclared("zero_ticks", self.zero_ticks, allowed)
         return self

@@ -54,7 +54,7 @@ def describe_power_on(joints: Mapping[str, JointConfig]) -> str:
     return (
         "the turns that servos have counted contradict the pose: cut the servos' power and give it "
         f"back with {'; '.join(at)} (if they do so again, --pose, --direction or gearing is wrong, "
-        "or a homing_offset has to be set to 0 with the maker's tool)"
+        "or homing_offset or reversal has to be set to 0 with the maker's tool)"
     )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
 
-from longarm_comp.devices.servo_bus.state import ServoState
+from longarm_comp.devices.servo_bus.state import ServoAlarm, ServoState
 from longarm_comp.devices.servo_config import FollowerConfig, JointConfig, ServoConfig
 
 
@@ -15,6 +15,7 @@ class ServoTrouble(Enum):
 
     SILENT = "silent"
     ALARM = "alarm"
+    SUPPLY = "badly supplied"
     OVERHEATED = "overheated"
     STALLED = "stalled"
     NOT_FOLLOWING = "not following"
@@ -147,8 +148,9 @@ class ServoWatch:
 
     def _find_ill(self, name: str, joint: JointConfig, state: ServoState) -> Iterator[JointFault]:
         if state.error_flags:
-            alarm = f"the servo reports {state.error_flags.words}"
-            yield JointFault(ServoTrouble.ALARM, name, alarm)
+            supply = state.error_flags is ServoAlarm.VOLTAGE
+            trouble = ServoTrouble.SUPPLY if supply else ServoTrouble.ALARM
+            yield JointFault(trouble, name, f"the servo reports {state.error_flags.words}")
         if not state.temperature_c <= joint.max_temperature_c:
             hot = f"{state.temperature_c:.0f} C, allowed {joint.max_temperature_c:.0f} C"
             yield JointFault(ServoTrouble.OVERHEATED, name, hot)

@@ -6,7 +6,8 @@ import hashlib
 import os
 import re
 import time
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
+from concurrent import futures
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -19,6 +20,8 @@ _EXPLAINED = "Beside this file: stops of arms that nobody has reset yet (`longar
 
 
 _AGAIN = ", asked for again at "
+_DISK_S = 1.0
+"""Longest wait for the disk, s: one that is worn out, or far away, may hang."""
 
 
 class Stop(Enum):
@@ -50,9 +53,10 @@ class StopLatch:
         arm: path of arm.yaml; empty if not known.
         port: serial port of the servos.
 
+    A thread writes the files, so that a disk that hangs delays no stop.
+
     Attributes:
         standing: description of each stop in force.
-        trouble: why these stops would not outlast this process; empty if they would.
         names: what each file of the arm stands for, by its name without suffix.
     """
 
@@ -63,16 +67,18 @@ class StopLatch:
         known_by += [_of_arm(namespace, arm)] if arm else []
         self._folder, self.names = folder, {file_name(text): text for text in known_by}
         self.standing: dict[Stop, str] = {}
-        self.trouble, self._owing = "", False
+        self._disk, self._owing = futures.ThreadPoolExecutor(max_workers=1), False
+        self._writing = futures.Future[None]()  # the last write
         try:
             for stop in Stop:
                 for file in self._list_files(stop):
                     with suppress(FileNotFoundError):
                         self.standing[stop] = _read(file, stop).words
             self._try_folder()
+            self._writing.set_result(None)
         except (LongarmError, OSError) as error:
             self.ask(Stop.HOLD, "because stops cannot be kept")
-            self._owing, self.trouble = True, str(error)
+            self._writing.set_exception(error)
 
     @property
     def words(self) -> str:
@@ -83,6 +89,13 @@ class StopLatch:
         lasts = [f"this ends with the driver: {self.trouble}"] * bool(self.trouble)
         return "; ".join((*said, *lasts))
 
+    @property
+    def trouble(self) -> str:
+        """The reason why the stops would not outlast this process; empty if they would."""
+        if not self._writing.done():
+            return f"the disk of {self._folder} does not answer"
+        return str(self._writing.exception() or "")
+
     def ask(self, stop: Stop, why: str = "") -> None:
         """Put a stop in force; `keep` then writes it.
 
@@ -92,29 +105,40 @@ class StopLatch:
         words = self.standing.get(stop, "")
         now = _describe_stop(stop, time.time(), why)
         first = words.partition(_AGAIN)[0]
-        self.standing[stop] = f"{first}{_AGAIN}{now.partition('since ')[2]}" if words else now
+        again = f"{first}{_AGAIN}{now.partition('since ')[2]}"
+        self.standing = {**self.standing, stop: again if words else now}
         self._owing = True
 
-    def keep(self) -> None:
-        """Write the files that are not written yet or are gone.
+    def mark(self, within_s: float) -> None:
+        """Make the files, still empty: they stop the next process; wait this long at most, s."""
+        files = [file for stop in self.standing for file in self._list_files(stop)]
+        futures.wait([self._disk.submit(_make_files, files)], within_s)
+
+    def keep(self, within_s: float = _DISK_S) -> None:
+        """Write the files that are not written yet or are gone; wait for this so long at most, s.
 
         If this fails, `trouble` gives the reason; call it again then.
         """
+        if self._owing or (self.standing and self._writing.done()):
+            anew, self._owing = self._owing or bool(self.trouble), False
+            self._writing = self._disk.submit(self._write_files, self.standing, anew)
+        futures.wait([self._writing], within_s)
+
+    def _write_files(self, standing: Mapping[Stop, str], anew: bool) -> None:
+        texts = {
+            file: f"{words}\n{of}\n"
+            for stop, words in standing.items()
+            for file, of in self._list_files(stop).items()
+        }
+        if not anew and all(os.path.lexists(file) for file in texts):
+            return
+        for file, text in texts.items():
+            write_text(file, text)
+        folder = os.open(self._folder, os.O_RDONLY)
         try:
-            files = (file for stop in self.standing for file in self._list_files(stop))
-            if not self._owing and all(os.path.lexists(file) for file in files):
-                return
-            for stop, words in self.standing.items():
-                for file, of in self._list_files(stop).items():
-                    write_text(file, f"{words}\n{of}\n")
-            folder = os.open(self._folder, os.O_RDONLY)
-            try:
-                os.fsync(folder)  # so that the names, too, outlast a loss of power
-            finally:
-                os.close(folder)
-            self._owing, self.trouble = False, ""
-        except (LongarmError, OSError) as error:
-            self.trouble = str(error)
+            os.fsync(folder)  # so that the names, too, outlast a loss of power
+        finally:
+            os.close(folder)
 
     @contextmanager
     def lift_stops(self, *stops: Stop) -> Iterator[None]:
@@ -130,7 +154,7 @@ class StopLatch:
             yield
             return
         try:
-            self._remove_files(stops)
+            self._disk_removes(stops)
             self.standing = {stop: said for stop, said in before.items() if stop not in stops}
             yield
         except BaseException:
@@ -138,14 +162,19 @@ class StopLatch:
             self.keep()
             raise
 
-    def _remove_files(self, stops: tuple[Stop, ...]) -> None:
-        try:
-            self._try_folder()
-            for stop in stops:
-                for file in self._list_files(stop):
-                    file.unlink(missing_ok=True)
-        except OSError as error:
+    def _disk_removes(self, stops: tuple[Stop, ...]) -> None:
+        removing = self._disk.submit(self._remove_files, stops)
+        futures.wait([removing], _DISK_S)
+        if removing.cancel() or removing.running():
+            raise JobError(f"the stop stays: {self._folder} does not answer")
+        if error := removing.exception():
             raise JobError(f"the stop stays: {error}") from error
+
+    def _remove_files(self, stops: tuple[Stop, ...]) -> None:
+        self._try_folder()
+        for stop in stops:
+            for file in self._list_files(stop):
+                file.unlink(missing_ok=True)
 
     def _try_folder(self) -> None:
         write_text(self._folder / "README.txt", _EXPLAINED)
@@ -215,6 +244,12 @@ def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = N
                 f"nothing is moved: {kept}. To go on: `longarm reset`; where no driver runs, "
                 "`longarm reset --kept`"
             )
+
+
+def _make_files(files: Collection[Path]) -> None:
+    for file in files:
+        if not os.path.lexists(file):
+            file.touch()
 
 
 def _of_arm(namespace: str, arm: str) -> str:

@@ -4,6 +4,7 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseWithCovarianceStamped
@@ -17,7 +18,13 @@ from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
-from longarm_comp.jobs.graph_client import GraphClient, Interrupted, count_drivers
+from longarm_comp.jobs.graph_client import (
+    ANSWER_S,
+    Call,
+    GraphClient,
+    Interrupted,
+    count_drivers,
+)
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_ns, told_ns
 from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
@@ -284,8 +291,7 @@ class ArmClient(GraphClient):
             # A sighting counts if it was taken 50 ms after the joints came to rest
             after_ns = self.arrive(path, pace, start) + 50_000_000
         except Interrupted:
-            self._withdrawn.publish(String(data=order or self._sent))
-            self._withdrawn.wait_for_all_acked(Duration(seconds=1.0))
+            self._withdraw(order or self._sent)
             raise
         seen: list[np.ndarray] = []
 
@@ -298,3 +304,23 @@ class ArmClient(GraphClient):
 
         self.wait(over, pace.look_s)
         return after_ns, seen
+
+    def call_to_move(self, client: Any, request: Any) -> Any:
+        """Call a service that may move the arm, once; if `stop` ends the wait, nothing moves it."""
+        self.until(client.service_is_ready, ANSWER_S, f"nobody offers {client.srv_name}")
+        asked = Call(client, request, again=False)
+        try:
+            return self.until(asked.answer, ANSWER_S, f"no answer of {client.srv_name}")
+        except Interrupted:
+            self._withdraw("")
+            with self.putting_back():  # the answer names what was sent before that
+                if (answer := self.wait(asked.answer, 2.0)) is not None:
+                    self._withdraw(answer.id)
+            raise
+        finally:
+            asked.close()
+
+    def _withdraw(self, name: str) -> None:
+        """Withdraw a trajectory by its id; empty: every target that waits to be executed."""
+        self._withdrawn.publish(String(data=name))
+        self._withdrawn.wait_for_all_acked(Duration(seconds=1.0))

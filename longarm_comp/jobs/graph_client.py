@@ -22,7 +22,7 @@ from longarm_comp.core.errors import JobError
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.interfaces import Service
 
-_ANSWER_S = 60.0
+ANSWER_S = 60.0
 """Longest wait for an answer, s: enough for a node that starts with six others on two cores."""
 FOUND_S = 10.0
 """Time, s, in which a running node is found and has reported, even on a busy machine."""
@@ -136,7 +136,7 @@ class GraphClient:
         self.wait(lambda: False, seconds)
 
     def call(
-        self, client: Any, request: Any, within_s: float = _ANSWER_S, *, again: bool = False
+        self, client: Any, request: Any, within_s: float = ANSWER_S, *, again: bool = False
     ) -> Any:
         """Call a service and return its response; JobError if none comes in time.
 
@@ -161,7 +161,7 @@ class GraphClient:
         node: str,
         service: Service,
         request: Any,
-        within_s: float = _ANSWER_S,
+        within_s: float = ANSWER_S,
         *,
         again: bool = True,
     ) -> Any:
@@ -172,7 +172,7 @@ class GraphClient:
         finally:
             self.node.destroy_client(made)
 
-    def parameters(self, node: str, *names: str, within_s: float = _ANSWER_S) -> list[Any]:
+    def parameters(self, node: str, *names: str, within_s: float = ANSWER_S) -> list[Any]:
         """Read parameters of a node, in the order of the names; None for an unknown one."""
         asked = GetParameters.Request(names=list(names))
         answer = self.ask(node, _GET, asked, within_s)

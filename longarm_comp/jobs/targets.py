@@ -148,10 +148,11 @@ class TargetRunner:
         pose.pose.position.x, pose.pose.position.y, pose.pose.position.z = target.tolist()
         request = Compensate.Request(target=pose, position_only=True, execute=execute)
         service = self._compensate[method]
-        ask = partial(self._client.call, service, request, again=not execute)
-        answer = ask()
+        client = self._client
+        ask = client.call_to_move if execute else partial(client.call, again=True)
+        answer = ask(service, request)
         stale = answer.status == Compensate.Response.STALE_TARGET  # nothing was moved
-        return ask() if stale else answer
+        return ask(service, request) if stale else answer
 
     def _drive_target(
         self, target: np.ndarray, method: Method

@@ -208,6 +208,7 @@ class ArmState:
         self.node.tally.count("doubtful joint_states", self._trust.doubt)
 
 
+_TAKING = (DriverState.READY, DriverState.MOVING)
 _MOVED = 2e-2
 """A joint that is this far (rad, m) from its last end was moved: encoder noise is smaller."""
 
@@ -236,12 +237,13 @@ class DriverLink:
         self._arrived = self._left = False
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -DRIVER_SILENT_S
+        self._stopped_s = -math.inf  # when the driver last said that it takes nothing, monotonic s
         self._known: set[str] = set()
         self._asked, self._answer = "", None
         hear = state.worker.hear  # so that messages are processed before the next target
         if self.acknowledged:
             hear(graph.MOTION, self._on_motion)
-            hear(graph.DRIVER_STATE, self._on_state)
+            hear(graph.DRIVER_STATE, self._on_state, depth=100)  # also a stop that ended meanwhile
         else:
             hear(graph.JOINT_TRAJECTORY, self._on_trajectory)
 
@@ -257,10 +259,19 @@ class DriverLink:
             return TWO_DRIVERS
         if now - self._heard_s > DRIVER_SILENT_S:
             return f"servo_driver has been silent for {now - self._heard_s:.0f} s"
-        if state.state not in (DriverState.READY, DriverState.MOVING):
+        if state.state not in _TAKING:
             why = f": {state.message}" if state.message else ""
             return f"servo_driver is {driver_words(state.state).partition(':')[0]}{why}"
         return ""
+
+    def overtaken(self, sent_s: float) -> str:
+        """Say that a stop came after what was asked at ``sent_s`` (monotonic s); empty if none did.
+
+        It must not move the arm once that goes on: who asked did not know of the stop.
+        """
+        if sent_s > self._stopped_s:
+            return ""
+        return self.refusal or "the arm was stopped after this was asked: ask again"
 
     def expect(self, name: str) -> None:
         """Expect from now on the acknowledgement of the trajectory with this id."""
@@ -352,6 +363,8 @@ class DriverLink:
         if not known:
             self._known.add(instance)
             self.forget_history()
+        if not known or message.state not in _TAKING:
+            self._stopped_s = max(self._stopped_s, sent)
         self._state, self._heard_s = message, now
 
     def report(self) -> Report:

@@ -143,7 +143,7 @@ JOINT_STATES = Topic("joint_states", JointState, 10, BEST_EFFORT)
 PLANNED_JOINTS = Topic("planned_joint_states", JointState, 10, RELIABLE)
 # what happens to every trajectory, from the driver
 MOTION = Topic("motion", Motion, 2000, RELIABLE)
-# id of a trajectory that must not move the arm any more
+# id of a trajectory that must not move the arm any more; empty: every target that waits
 WITHDRAWN = Topic("withdrawn", String, 10, RELIABLE)
 DRIVER_STATE = Topic("servo_driver/state", DriverState, 1, RELIABLE, latched=True)
 PREDICTED_ERROR = Topic("predicted_error", Vector3Stamped, 20, RELIABLE)

@@ -64,6 +64,8 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 _UNTOLD_S = 1.0
 """Assumed longest wait of a request, s, if the sender's clock does not tell it."""
+_WATCH_S = 0.1
+"""Longest pause, s, between two looks whether the node runs."""
 _DELIVERED_S = 60.0
 """Time, s, after which the middleware has delivered all that waited while the node did not run,
 however long that was."""
@@ -75,20 +77,30 @@ class Freshness:
     The age of an order follows from its stamp and the node's clock. Without a stamp, or in
     simulated time, which may stand still, the order may have waited as long as the node did not run
     (stopped or overloaded). A timer on the node's executor measures this time.
+
+    An order from before the last `begin_anew` is too old at any age.
     """
 
     def __init__(self, node: Node, max_age_s: float) -> None:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
         self._turned = sleepless_s()
         self._away_s = self._back = 0.0
-        # Period of the watch, as a share of the age allowed
-        steady_timer(node, 0.1 * max_age_s, self._note_turn)
+        self._anew_s, self._anew_ns = -math.inf, 0
+        self._period_s = min(_WATCH_S, 0.1 * max_age_s)
+        steady_timer(node, self._period_s, self._note_turn)
+
+    def begin_anew(self) -> None:
+        """Refuse from now on all orders that were sent before: who sent them knew of no stop."""
+        self._anew_s, self._anew_ns = sleepless_s(), int(self._clock.now().nanoseconds)
 
     def _note_turn(self) -> None:
-        late = sleepless_s() - self._turned
-        self._turned += late
-        if late > self.max_age_s:
-            self._away_s, self._back = late, self._turned
+        now = sleepless_s()
+        late, self._turned = now - self._turned, now
+        if late > max(2.0 * self._period_s, self._late_s(now)):
+            self._away_s, self._back = late, now
+
+    def _late_s(self, now: float) -> float:
+        return self._away_s if now - self._back < min(self._away_s, _DELIVERED_S) else 0.0
 
     @property
     def away_s(self) -> float:
@@ -98,8 +110,7 @@ class Freshness:
         then all waiting orders have been delivered.
         """
         now = sleepless_s()
-        late = self._away_s if now - self._back < min(self._away_s, _DELIVERED_S) else 0.0
-        return max(now - self._turned, late)
+        return max(now - self._turned, self._late_s(now))
 
     def waited_s(self, sent_ns: int) -> float:
         """Return how long (s) a request has waited that was sent at ``sent_ns``, sender's clock.
@@ -111,11 +122,19 @@ class Freshness:
 
     def too_old(self, stamp: Time) -> str:
         """Say why an order with this stamp is too old to be carried out; empty if it is not."""
-        ns = stamp_ns(stamp)
+        ns, since_s = stamp_ns(stamp), sleepless_s() - self._anew_s
+        now_ns = int(self._clock.now().nanoseconds)
         why = describe_untimely(self._clock, ns, self.max_age_s) if ns else ""
-        if not why and (not ns or self._clock.ros_time_is_active) and self.away_s > self.max_age_s:
+        untold = not ns or self._clock.ros_time_is_active
+        if not why and untold and self.away_s > self.max_age_s:
             why = f"may be {self.away_s:.1f} s old, because this node was away for so long"
-        return f"the order {why}, allowed {self.max_age_s:g} s" if why else ""
+        if why:
+            return f"the order {why}, allowed {self.max_age_s:g} s"
+        age_s = max(1e-9 * (now_ns - ns) if ns else 0.0, self.away_s if untold else 0.0)
+        # The clock may have been set back since: then a stamp before that lies in the future
+        if age_s >= since_s or 0 < ns < self._anew_ns <= now_ns or now_ns < ns < self._anew_ns:
+            return "the order was sent before the arm was stopped, or went on: send it again"
+        return ""
 
 
 PARAMS = (

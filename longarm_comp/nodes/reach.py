@@ -70,7 +70,7 @@ class ReachServer:
                 self._give_feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for other goals, which the feedback reports, makes it no older
-                target = replace(target, sent_s=time.monotonic())
+                target = replace(target, turn_s=time.monotonic())
             return await self._reach_target(goal, target)
         finally:
             self._turns.remove(turn)

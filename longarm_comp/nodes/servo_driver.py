@@ -3,8 +3,8 @@
 When configured, the port is open and the servos are read. When active, their torque is on. Torque
 is switched off on deactivate, cleanup, shutdown, emergency stop and at the end of the process, but
 it stays on if the process ends because its terminal or supervisor is gone. An emergency stop, a
-hold, or a fault that a new driver could not see outlasts the process (`StopLatch`): while it is in
-force, the driver switches no torque on and accepts no trajectory, in any state.
+hold, or a fault other than lost power outlasts the process (`StopLatch`): while it is in force, the
+driver switches no torque on and accepts no trajectory, in any state.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         self._stops = Stops(self, self, p["state"], p["arm"], self._config, fresh)
         self._timer = steady_timer(self, self._period_s, self._run_cycle)
         # Pause between two messages of the state, s. It is also published when it changes
-        steady_timer(self, 0.5, self._tell_state)
+        steady_timer(self, 0.5, self.tell_state)
         self.health.parts |= {"servo bus": self._bus_report, "arm": self._arm_report}
         self._start_up()
         steady_timer(self, p["retry_s"], self._start_up)
@@ -133,7 +133,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.arm = None
         self._release_arm()
         self._ended = True
-        self._tell_state()
+        self.tell_state()
         if self._stops.owed:
             self.exit_code = JobError.exit_code
         return super().close()
@@ -199,6 +199,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         except LongarmError as error:
             return self._note_failure(error)
         self.fault, self.active, self._autostart = "", True, False
+        self._stops.begin_anew()
         return super().on_activate(state)
 
     @reporting_faults
@@ -340,9 +341,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def _tell_change(self) -> None:
         if self._said != self.state:
-            self._tell_state()
+            self.tell_state()
 
-    def _tell_state(self) -> None:
+    def tell_state(self) -> None:
         state, why = self._said = self.state
         message = DriverState(state=state, message=why, instance=THIS_INSTANCE)
         message.header.stamp = self.get_clock().now().to_msg()
@@ -365,8 +366,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             return DriverState.UNCONFIGURED, "; ".join(filter(None, (unready, owed)))
         if not self.active:
             return DriverState.INACTIVE, self.fault or "not active: torque is off"
-        moving = follower is FollowerState.TRACKING
-        return (DriverState.MOVING if moving else DriverState.READY), ""
+        return DriverState.MOVING if follower is FollowerState.TRACKING else DriverState.READY, ""
 
     def _bus_report(self) -> Report:
         facts: dict[str, object] = {"port": self._config.bus.port}

@@ -27,8 +27,11 @@ from longarm_interfaces.msg import DriverState
 
 PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empty: the user's"),)
 
-_PASSING = {ServoTrouble.STALLED, ServoTrouble.NOT_FOLLOWING, ServoTrouble.LET_GO}
-"""Troubles that a driver that begins anew cannot see, so that their faults are kept for it."""
+_MOMENT_S = 0.005
+"""Longest time, s, by which the disk may delay what the servos are sent. It mostly takes 1 ms."""
+_SWITCHED_OFF = {ServoTrouble.SILENT, ServoTrouble.SUPPLY}
+"""Troubles that come of switching the servos' power off: their faults end with the process. All
+others are kept for the next one, because to start a driver again must end no fault."""
 
 _ENDS: dict[graph.Service, tuple[frozenset[Stop], frozenset[FollowerState]]] = {
     graph.ESTOP: (frozenset({Stop.ESTOP}), frozenset({FollowerState.ESTOP})),
@@ -47,6 +50,7 @@ class Stoppable(Protocol):
     def active(self) -> bool: ...
     @property
     def state(self) -> tuple[int, str]: ...
+    def tell_state(self) -> None: ...
 
 
 class Stops:
@@ -106,7 +110,10 @@ class Stops:
                 if not self.estop:
                     self._was_on = arm is not None and arm.powered
                 self._latch.ask(stop)
-                self.let_go()
+                try:  # first, so that a process that is killed now has not forgotten it
+                    self._latch.mark(_MOMENT_S)
+                finally:
+                    self.let_go()
             else:
                 stop, done = Stop.HOLD, "held: torque on, trajectories refused"
                 if arm is not None and stop not in self._latch.standing:
@@ -120,6 +127,12 @@ class Stops:
             return said
         finally:
             self._stopped = sleepless_s()
+            self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Tell at once that the arm was stopped, or goes on; orders from before are refused."""
+        self._fresh.begin_anew()
+        self._site.tell_state()
 
     def _end(self, asked: Asked) -> str:
         """End the stops that the request names; return the driver's state.
@@ -162,8 +175,8 @@ class Stops:
         return (DriverState.FAULT if faulty else DriverState.HOLDING), why
 
     def keep_fault(self, finding: JointFault) -> None:
-        """Keep a fault for the driver's next process, which could not see it, until a reset."""
-        if finding.trouble in _PASSING and Stop.FAULT not in self._latch.standing:
+        """Keep a fault for the driver's next process, until a reset."""
+        if finding.trouble not in _SWITCHED_OFF and Stop.FAULT not in self._latch.standing:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
             self._latch.ask(Stop.FAULT, what)
             self._latch.keep()
@@ -200,7 +213,7 @@ class Stops:
         self._pay()
 
     def _try_again(self) -> None:
-        self._latch.keep()  # writes only what could not be written before
+        self._latch.keep(_MOMENT_S)  # writes only what could not be written before
         self._pay()
 
     def _pay(self) -> None:
@@ -230,14 +243,13 @@ class Stops:
         if arm is not None and arm.doubt and Stop.FAULT in ends and not asks:
             raise JobError(f"{arm.doubt}; then configure the driver again and reset it")
         with self._latch.lift_stops(*ends):
-            if arm is None:
-                return
             left = set(self._latch.standing)
-            if stopped:
+            if arm is not None and stopped:
                 on = active and (not left or (self._was_on and left == {Stop.HOLD}))
                 arm.release(time.monotonic(), on=on)
-            elif active and not (self.standing or arm.powered):
+            elif arm is not None and active and not (self.standing or arm.powered):
                 arm.power(True)
+        self.begin_anew()
 
 
 def _is_end(asked: Asked) -> bool:

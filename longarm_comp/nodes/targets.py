@@ -1,6 +1,7 @@
 """Answers the targets that `kinematics` receives: in order of arrival, each exactly once."""
 
 import itertools
+import math
 import time
 import uuid
 from collections import deque
@@ -71,7 +72,9 @@ class TargetInlet:
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)
         self._withdrawals = graph.WITHDRAWN.publisher(node)
+        self._withdrawn_s = -math.inf  # when all targets were withdrawn, monotonic s
         worker.hear(graph.TARGET_POSE, self._on_target)
+        worker.hear(graph.WITHDRAWN, self._on_withdrawn)
         worker.serve(graph.COMPENSATE, self._on_compensate)
         for method in Method:
             answer = partial(self._on_compensate, method=method.value)
@@ -82,9 +85,13 @@ class TargetInlet:
     ) -> TargetRequest:
         """Make the request of a target, with an id, and with ``others`` of its attributes.
 
-        ``sent_s``: when it was sent (monotonic s). If not known, the longest possible wait counts.
+        ``sent_s``: when it was sent (monotonic s). If not known, the longest possible wait counts;
+        its stamp may say that it is older.
         """
-        since = time.monotonic() - self._fresh.away_s if sent_s is None else sent_s
+        now = time.monotonic()
+        since = now - self._fresh.away_s if sent_s is None else sent_s
+        if stamp := stamp_ns(pose.header.stamp):
+            since = min(since, now - 1e-9 * (self._node.get_clock().now().nanoseconds - stamp))
         name = f"{self._run}-{next(self._numbers)}"
         return TargetRequest(name, pose, position_only, since, **others)
 
@@ -95,7 +102,7 @@ class TargetInlet:
         """
         stamp = stamp_ns(target.pose.header.stamp)
         why = describe_untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
-        age_s = time.monotonic() - target.sent_s
+        age_s = time.monotonic() - max(target.sent_s, target.turn_s)
         if not why and target.execute and age_s > self._max_age_s:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
         return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"
@@ -124,6 +131,10 @@ class TargetInlet:
             self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
         return True
 
+    def _on_withdrawn(self, message: String, sent: float) -> None:
+        if not message.data:
+            self._withdrawn_s = max(self._withdrawn_s, sent)
+
     def _on_compensate(
         self, message: Compensate.Request, reply: Reply, sent: float, method: str = ""
     ) -> None:
@@ -149,18 +160,13 @@ class TargetInlet:
         """Compute a target, send its joints if it is executed, respond, then publish the answer."""
         answer: Answer | None = None
         try:
-            if why := self.stale(target):
-                answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
-            else:
-                answer = self._compensator.answer(target)
+            answer = self._refuse_overtaken(target) or self._compensator.answer(target)
             arrival = answer.arrival if target.execute and answer.status.success else None
             if arrival is not None:
-                stamp = self._stamps.next()  # before the age check: from here the driver counts
-                if why := self.stale(target):
-                    answer = self._compensator.refuse(target, Status.STALE_TARGET, why)
-                elif not target.wanted():
-                    why = "cancelled before anything was sent"
-                    answer = self._compensator.refuse(target, Status.NOT_READY, why)
+                stamp = self._stamps.next()  # before the checks: from here the driver counts
+                self._worker.wait_until(lambda: True, 0.0)  # hear what came meanwhile
+                if refused := self._refuse_overtaken(target):
+                    answer = refused
                 elif why := self._state.doubt:  # it arose while the joints were computed
                     answer = self._compensator.refuse(target, Status.NOT_READY, why)
                 else:
@@ -169,7 +175,10 @@ class TargetInlet:
                     self._driver.expect(answer.name)
                     self._trajectory.publish(message)
                     patience_s = self._state.p["acknowledge_s"]
-                    if not self._worker.wait_until(lambda: self._driver.has_answered, patience_s):
+                    if (
+                        not self._worker.wait_until(lambda: self._driver.has_answered, patience_s)
+                        or target.sent_s <= self._withdrawn_s
+                    ):
                         self._withdrawals.publish(String(data=answer.name))
                     if why := self._driver.not_accepted:
                         answer = replace(answer, status=Status.NOT_ACCEPTED, message=why)
@@ -181,6 +190,16 @@ class TargetInlet:
         finally:  # published even when the client is gone
             if answer is not None:
                 self._publish_answer(answer)
+
+    def _refuse_overtaken(self, target: TargetRequest) -> Answer | None:
+        """Refuse a target that is too old, or withdrawn, or asked before a stop; else None."""
+        refuse = partial(self._compensator.refuse, target)
+        if target.execute and (not target.wanted() or target.sent_s <= self._withdrawn_s):
+            return refuse(Status.NOT_READY, "cancelled before anything was sent")
+        if target.execute and (why := self._driver.overtaken(target.sent_s)):
+            return refuse(Status.NO_DRIVER, f"not sent: {why}")
+        why = self.stale(target)
+        return refuse(Status.STALE_TARGET, why) if why else None
 
     def _make_order(self, points: np.ndarray, stamp: Time) -> JointTrajectory:
         """Make the trajectory through points (k, n), rad and m.

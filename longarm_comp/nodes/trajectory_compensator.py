@@ -6,6 +6,7 @@ that it refuses.
 """
 
 import contextlib
+import time
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import fields, replace
@@ -138,8 +139,10 @@ class _TrajectoryCompensator(ArmNode):
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         strange = set(asked.joint_names) - set(self._arm.joint_names)
         allowed = ", ".join(self._arm.joint_names)
-        why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else self._not_now(asked)
-        made, why = (None, why) if why else await self._compute_path(goal.request)
+        sent_s = time.monotonic() - self._fresh.away_s
+        why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else ""
+        why = why or self._not_now(asked, sent_s)
+        made, why = (None, why) if why else await self._compute_path(goal.request, sent_s)
         if goal.is_cancel_requested:
             goal.canceled()
             return result(error_string="cancelled before anything was sent")
@@ -152,17 +155,19 @@ class _TrajectoryCompensator(ArmNode):
         finally:
             self._following -= 1
 
-    def _not_now(self, asked: JointTrajectory) -> str:
-        """Say why no trajectory can be followed now; empty if one can."""
+    def _not_now(self, asked: JointTrajectory, sent_s: float) -> str:
+        """Say why a trajectory that was sent at ``sent_s`` (monotonic s) cannot be followed now."""
         if not asked.points:
             return "a trajectory without points"
         if not self._out.server_is_ready():
             return f"no controller offers {self._controller}"
-        why = self._files.refusal or self._driver.refusal or self._state.doubt
-        why = why or self._worker.failing
+        why = self._files.refusal or self._driver.refusal or self._driver.overtaken(sent_s)
+        why = why or self._state.doubt or self._worker.failing
         return self._fresh.too_old(asked.header.stamp) or why
 
-    async def _compute_path(self, request: Any) -> tuple[CompensatedPath | None, str]:
+    async def _compute_path(
+        self, request: Any, sent_s: float
+    ) -> tuple[CompensatedPath | None, str]:
         """Compute the path from where the arm stands, or say why not; again if it moved."""
         moved = ""
         for _ in range(_TRIES):
@@ -170,7 +175,7 @@ class _TrajectoryCompensator(ArmNode):
             assert stood is not None
             future = self._worker.ask(partial(self._compensate_request, request, stood))
             made, why = (None, "too many goals wait") if future is None else await future
-            if why := why or self._not_now(request.trajectory):
+            if why := why or self._not_now(request.trajectory, sent_s):
                 return None, why
             if not (moved := self._describe_motion(stood)):
                 return made, ""

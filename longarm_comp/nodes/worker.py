@@ -191,8 +191,9 @@ class Worker:
         self._wait_set: Any = None
         self._failed: dict[str, tuple[str, float]] = {}
 
-    def hear(self, topic: Topic, callback: Hear) -> None:
-        made = topic.subscription(self._node, lambda message: None, self._group)
+    def hear(self, topic: Topic, callback: Hear, depth: int | None = None) -> None:
+        """Receive a topic; ``depth``: number of messages that may wait, if not the topic's."""
+        made = topic.subscription(self._node, lambda message: None, self._group, depth=depth)
         self._topics.append((made, SequenceWatch(), callback))
 
     def serve(self, service: ServiceName, callback: Callable[[Any, Reply, float], None]) -> None:

@@ -279,7 +279,7 @@ def test_zero_with_a_stored_offset_is_not_a_turn_off_after_power_on(
                 assert joint.to_si(emulator.positions()[2] - offset) == pytest.approx(0.0, abs=1e-3)
             else:
                 assert turns or encoder != 1000.0, shell.err
-                assert "homing_offset has to be set to 0" in shell.err
+                assert "homing_offset or reversal has to be set to 0" in shell.err
 
 
 # ---- setup in a dialogue ------------------------------------------------------------------------

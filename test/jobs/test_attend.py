@@ -190,7 +190,9 @@ def test_a_job_that_is_interrupted_stops_what_it_moves(rig: Rig) -> None:
 def test_the_wait_for_a_target_knows_what_to_stop() -> None:
     stands = joints_message(TWO_JOINTS, np.zeros(2))
     client = MagicMock(arm=TWO_JOINTS, seen_in="")
-    client.call.return_value = Compensate.Response(success=True, id="its id", command=stands)
+    client.call_to_move.return_value = Compensate.Response(
+        success=True, id="its id", command=stands
+    )
     client.look.return_value = 0, []
     TargetRunner(client, Pace()).run("targets", np.ones((1, 3)), Method.NONE, print)
     assert client.look.call_args.args[-1] == "its id"

@@ -6,7 +6,9 @@ The driver's side is played by the test, so that it can be absent, in fault, sil
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 from places import DEMO_ARM as ARM
@@ -16,6 +18,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from nodes_bench import Bench, bench
 from own_graph import own_graph
 from played_driver import Driver
+from std_msgs.msg import String
 from target_requests import pose, request
 from wind_up import there_and_back
 
@@ -41,8 +44,9 @@ def stage(tmp_path_factory: pytest.TempPathFactory, arm: Arm) -> Iterator[Bench]
     with own_graph(folder), bench() as made:
         options = {"arm": ARM, "model": folder / "model.yaml", "method": "deflection"}
         made.start(
-            "kinematics", {**options, "run_up": False, "acknowledged": True, "acknowledge_s": 0.3}
-        )
+            "kinematics", {**options, "run_up": False, "acknowledged": True, "acknowledge_s": 0.3,
+                           "target_max_age_s": 60.0}
+        )  # fmt: skip
         yield made
 
 
@@ -115,6 +119,91 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     says(STATUS.SUCCESS, "", executed=True)
     driver.instances = ()
     says(STATUS.NO_DRIVER, "silent")
+
+
+def is_away(stage: Bench, driver: Driver, *sent: Callable[[], object]) -> None:
+    """`kinematics` hears all of this together, as after a long computation."""
+    process = stage.processes[0]
+    process.send_signal(signal.SIGSTOP)
+    state = Path(f"/proc/{process.pid}/stat")
+    stage.spin(lambda: state.read_text().rpartition(")")[2].split()[0] == "T")
+    driver.got.clear()
+    for send in sent:
+        send()
+        until = time.monotonic() + 0.1
+        stage.spin(lambda: time.monotonic() > until)  # noqa: B023
+    process.send_signal(signal.SIGCONT)
+
+
+@pytest.mark.parametrize(
+    ("after", "status", "words"),
+    [
+        ("a stop and its end", STATUS.NO_DRIVER, "the arm was stopped after this was asked"),
+        ("another driver", STATUS.NO_DRIVER, "the arm was stopped after this was asked"),
+        ("a withdrawal", STATUS.NOT_READY, "cancelled before anything was sent"),
+    ],
+)
+@pytest.mark.parametrize("by", ["compensate", "reach", "target_pose"])
+def test_a_target_that_waits_moves_nothing_after_a_stop_or_a_withdrawal(
+    stage: Bench, arm: Arm, driver: Driver, by: str, after: str, status: int, words: str
+) -> None:
+    driver.instances, driver.event = (f"before {by}",), Motion.ACCEPTED
+    driver.state, driver.answers = DriverState.READY, True
+    client, stories = graph.COMPENSATE.client(stage.node), stage.collect(graph.COMPENSATION)
+    target = declared_model(arm).pose(arm.mid)
+    ask = request(target, arm, execute=True)
+    stage.spin(lambda: stage.call(client, ask).success)
+    withdraw, poses = graph.WITHDRAWN.publisher(stage.node), graph.TARGET_POSE.publisher(stage.node)
+    stage.connected(withdraw)
+    stage.connected(poses)
+    reach = stage.action(Reach, graph.REACH.name)
+    stage.matched(poses, pose(target), stories)
+    last = stage.call(client, ask).id
+    stage.spin(lambda: stories[-1].id == last)
+    del stories[:]
+    send = {
+        "compensate": lambda: client.call_async(ask),
+        "reach": lambda: reach.send_goal_async(Reach.Goal(target=pose(target))),
+        "target_pose": lambda: poses.publish(pose(target)),
+    }[by]
+    meanwhile: dict[str, tuple[Callable[[], object], ...]] = {
+        "a stop and its end": (
+            lambda: driver.says(DriverState.ESTOP),
+            lambda: driver.says(DriverState.READY),
+        ),
+        "another driver": (lambda: setattr(driver, "instances", (f"after {by}",)), driver.beat),
+        "a withdrawal": (lambda: withdraw.publish(String()),),
+    }
+    is_away(stage, driver, send, *meanwhile[after])
+    stage.spin(lambda: stories)
+    assert (stories[-1].status, words in stories[-1].message) == (status, True), stories[-1]
+    assert not driver.got
+    stage.spin(lambda: stage.call(client, ask).success)
+    reach.destroy()
+
+
+def test_what_is_withdrawn_while_the_driver_takes_it_is_broken_off(
+    stage: Bench, arm: Arm, driver: Driver
+) -> None:
+    driver.instances, driver.event = ("at it",), Motion.ACCEPTED
+    driver.state, driver.answers = DriverState.READY, True
+    client, ask = (
+        graph.COMPENSATE.client(stage.node),
+        request(declared_model(arm).pose(arm.mid), arm, execute=True),
+    )
+    stage.spin(lambda: stage.call(client, ask).success)
+    withdraw, withdrawn = graph.WITHDRAWN.publisher(stage.node), stage.collect(graph.WITHDRAWN)
+    stage.connected(withdraw)
+    driver.answers = False
+    driver.got.clear()
+    client.call_async(ask)
+    stage.spin(lambda: driver.got)
+    withdraw.publish(String())
+    stage.spin(lambda: withdrawn)
+    driver.tell(Motion.ACCEPTED, order_id(driver.got[-1]), driver.got[-1])
+    stage.spin(lambda: len(withdrawn) == 2)
+    assert [message.data for message in withdrawn] == ["", order_id(driver.got[-1])]
+    driver.answers = True
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from functools import partial
 
 import pytest
 
@@ -11,8 +12,10 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from builtin_interfaces.msg import Time
 from driver_rig import Rig
+from lifecycle_msgs.msg import Transition
 from rclpy.duration import Duration as Lapse
 from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.nodes import interfaces as graph
@@ -123,3 +126,30 @@ def test_a_driver_that_was_away_moves_nothing_that_came_meanwhile(rig: Rig) -> N
     assert rig.joints()["shoulder"] < 0.3
     rig.is_in(DriverState.READY)
     rig.goes(shoulder=0.0)
+
+
+def test_an_order_that_waited_on_the_way_through_a_stop_moves_nothing(rig: Rig) -> None:
+    rig.ends()
+    rig.start(order_max_age_s=60.0)
+    rig.in_order().is_in(DriverState.READY)
+    rig.goes(shoulder=0.0)
+
+    def stopped(service: graph.Service) -> None:
+        assert rig.call(service, SetBool.Request(data=True)).success
+        assert rig.call(graph.RESET, Trigger.Request()).success
+
+    def inactive(transition: str) -> None:
+        assert rig.change(getattr(Transition, f"TRANSITION_{transition}"))
+
+    for stops in (
+        [partial(stopped, graph.HOLD)], [partial(stopped, graph.ESTOP)],
+        [partial(inactive, "DEACTIVATE"), partial(inactive, "ACTIVATE")],
+    ):  # fmt: skip
+        before = rig.stamps.next()
+        for stop in stops:
+            stop()
+        rig.is_in(DriverState.READY)
+        told = rig.becomes(rig.send(stamp=before, shoulder=0.5), Motion.REFUSED)
+        assert "before the arm was stopped" in told.message
+    assert rig.rests()["shoulder"] == pytest.approx(0.0, abs=1e-3)
+    rig.goes(shoulder=0.1)

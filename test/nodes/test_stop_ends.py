@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import tempfile
+import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,11 +15,17 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+from builtin_interfaces.msg import Time
+from rclpy.duration import Duration as Lapse
 from std_srvs.srv import SetBool, Trigger
 from stops_bench import MAX_AGE_S, StoppedArm
 
+from longarm_comp.devices import stop_latch
 from longarm_comp.devices.follower_report import FollowerState
+from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
+from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes import stops
 from longarm_comp.nodes.clock import sleepless_s
 from longarm_comp.nodes.worker import Asked
 from longarm_interfaces.msg import DriverState
@@ -172,6 +182,42 @@ def test_ends_while_no_arm_is_configured_answer_with_the_state(driver: StoppedAr
         assert not driver.stops.standing and driver.on == {False}
 
 
+@pytest.mark.parametrize("stop", [graph.ESTOP, graph.HOLD])
+def test_an_order_from_before_a_stop_or_its_end_is_too_old_after_it(
+    driver: StoppedArm, stop: graph.Service
+) -> None:
+    """It waited, in its sender or on the way, no longer than an order may."""
+    now, fresh = driver.stage.node.get_clock().now, driver.fresh
+    fresh.max_age_s = 3600.0
+    before = now().to_msg()
+    assert not fresh.too_old(before)
+    assert driver.ask(stop, True).success
+    under = now().to_msg()
+    assert driver.ask(graph.RESET).success and driver.on == {True}
+    for old in (before, under):
+        assert "sent before the arm was stopped" in fresh.too_old(old)
+    assert not fresh.too_old(now().to_msg())
+    assert [standing for standing, _ in driver.told[-2:]] == [True, False]
+    fresh._turned -= 60.0  # the node was away: nobody knows when an order without a stamp came
+    assert "sent before the arm was stopped" in fresh.too_old(Time())
+    driver.ask(graph.RESET)  # it ends nothing
+    assert not fresh.too_old(now().to_msg())
+
+
+@pytest.mark.parametrize("ahead_s", [-1.0, 1.0])
+def test_a_clock_that_is_set_makes_no_old_order_new_nor_a_new_one_old(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch, ahead_s: float
+) -> None:
+    true, fresh = driver.stage.node.get_clock(), driver.fresh
+    before = true.now().to_msg()
+    assert driver.ask(graph.ESTOP, True).success and driver.ask(graph.RESET).success
+    ahead = Lapse(seconds=ahead_s)
+    is_set = SimpleNamespace(now=lambda: true.now() + ahead, ros_time_is_active=False)
+    monkeypatch.setattr(fresh, "_clock", is_set)
+    assert not fresh.too_old(is_set.now().to_msg())
+    assert "sent before" in fresh.too_old(before)
+
+
 def test_every_request_is_answered_whatever_another_raises(driver: StoppedArm) -> None:
     def lost(response: Any) -> None:
         raise RuntimeError("its client is gone")
@@ -190,6 +236,62 @@ def test_a_stop_is_kept_before_it_is_answered(
 ) -> None:
     assert serve(driver, stop, True, 0).success
     assert list((tmp_path / "stops").glob(file))
+
+
+def test_an_emergency_stop_is_kept_before_the_torque_goes_off(
+    driver: StoppedArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A driver that is killed in between leaves it to the next one."""
+    monkeypatch.setattr(stops, "_MOMENT_S", 60.0)
+    assert driver.arm is not None
+    kept: list[Stop] = []
+
+    def off() -> None:
+        made = StopLatch(tmp_path / "stops", "/", "", driver.config.bus.port)
+        kept.extend(made.standing)
+        own()
+
+    own = driver.arm.estop
+    monkeypatch.setattr(driver.arm, "estop", off)
+    assert driver.ask(graph.ESTOP, True).success and driver.on == {False}
+    assert kept == [Stop.ESTOP]
+
+
+@pytest.mark.parametrize("hangs", [(os, "fsync"), (Path, "touch")])
+def test_a_disk_that_hangs_delays_no_stop(
+    driver: StoppedArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangs: tuple[Any, str]
+) -> None:
+    monkeypatch.setattr(stop_latch, "_DISK_S", 0.0)
+    answers = threading.Event()
+    with monkeypatch.context() as patch:
+        patch.setattr(*hangs, lambda *_, **__: answers.wait(60.0))
+        driver.in_fault()
+        driver.stops.keep_fault(JointFault(ServoTrouble.STALLED, "a", "against something"))
+        assert driver.on == {True}
+        served = serve(driver, graph.ESTOP, True, 0)
+        assert driver.on == {False} and "does not answer" in driver.stops.standing
+        assert "the stop stays" in serve(driver, graph.RESET, None, time.time_ns()).message
+        assert driver.stops.estop and driver.on == {False} and not answers.is_set()
+        answers.set()
+    assert served.success
+    driver.stage.spin(lambda: not driver.stops.unkept)
+    latch = StopLatch(tmp_path / "stops", "/", "", driver.config.bus.port)
+    assert set(latch.standing) == {Stop.ESTOP, Stop.FAULT}
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EROFS])
+def test_a_disk_that_is_full_or_read_only_prevents_no_stop(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch, error: int
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise OSError(error, os.strerror(error))
+
+    with monkeypatch.context() as patch:
+        for place, name in ((Path, "touch"), (os, "fsync"), (tempfile, "mkstemp")):
+            patch.setattr(place, name, fails)
+        assert driver.ask(graph.ESTOP, True).success
+        assert driver.on == {False} and driver.stops.unkept
+    driver.stage.spin(lambda: not driver.stops.unkept)
 
 
 def test_ends_are_sent_once_and_stops_until_they_are_answered(

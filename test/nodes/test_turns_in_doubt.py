@@ -67,6 +67,38 @@ def test_a_lost_count_ends_when_the_driver_is_configured_again_and_reset(rig: Ri
     assert rig.driving()
 
 
+@pytest.mark.parametrize("alarm", ["overload", "overheat", "hot", "voltage", "silent"])
+def test_to_start_the_driver_again_ends_no_fault_but_that_of_power_switched_off(
+    rig: Rig, alarm: str
+) -> None:
+    rig.in_order().goes(shoulder=0.1)  # from then on silence is a fault
+    silent = rig.emulator.faults.silent
+    with rig.emulator.motor(1) as motor:
+        if alarm == "hot":
+            motor.temperature_c = 68.0
+        elif alarm == "silent":
+            silent |= {1, 2}
+        else:
+            motor.alarms.add(alarm)
+    told = rig.is_in(DriverState.FAULT).message
+    rig.process.kill()
+    rig.process.wait(timeout=300)
+    rig.emulator.unplug()
+    silent.clear()
+    with rig.emulator.motor(1) as motor:
+        motor.alarms.clear()
+        motor.temperature_c = 30.0
+    rig.emulator.start()
+    rig.start()
+    if alarm in ("voltage", "silent"):
+        rig.is_in(DriverState.READY)
+        return
+    said = rig.is_in(DriverState.FAULT).message
+    assert "fault since" in said and told.partition(";")[0].partition("shoulder")[2] in said
+    assert rig.call(graph.RESET, Trigger.Request()).success
+    rig.is_in(DriverState.READY)
+
+
 def test_the_end_of_an_emergency_stop_switches_no_torque_on_while_a_fault_is_kept(
     driver: StoppedArm,
 ) -> None:

@@ -26,9 +26,15 @@ class Driver:
         self._motions = graph.MOTION.publisher(stage.node)
         self._joints = graph.JOINT_STATES.publisher(stage.node)
         graph.JOINT_TRAJECTORY.subscription(stage.node, self._on_trajectory)
-        stage.node.create_timer(0.2, self._beat)
+        stage.node.create_timer(0.2, self.beat)
 
-    def _beat(self) -> None:
+    def says(self, state: int) -> None:
+        """It is in that state from now on, and says so at once."""
+        self.state = state
+        self.beat()
+
+    def beat(self) -> None:
+        """Tell the state, and where the joints are."""
         for instance in self.instances:
             self._states.publish(DriverState(state=self.state, instance=instance, message="so"))
         self._joints.publish(joints_message(self.arm, self.arm.mid))

@@ -34,6 +34,7 @@ class StoppedArm:
     def __init__(self, stage: Bench, folder: Path, emulator: FaultyBus) -> None:
         self.stage, self.emulator, self.active = stage, emulator, True
         self.state = (DriverState.READY, "")
+        self.told: list[tuple[bool, tuple[int, str]]] = []
         line = {"protocol": "feetech", "port": emulator.port, "reply_timeout_s": 0.25, "retries": 1}
         joints = {"a": {"servo_id": 1, **JOINT}, "b": {"servo_id": 2, **JOINT}}
         follower = {"silence_s": 5.0, "stall_time_s": 5.0}
@@ -46,6 +47,9 @@ class StoppedArm:
         self._clients = {name: name.client(stage.node, of="tester") for name in services}
         for client in self._clients.values():
             stage.spin(client.service_is_ready)
+
+    def tell_state(self) -> None:
+        self.told.append((bool(self.stops.standing), self.stops.state))
 
     def configure(self) -> None:
         """As the driver does, and activates."""

@@ -156,8 +156,9 @@ class Dialect(ABC):
     def turn_at_power_on(self, model: ServoModel, stored: Mapping[str, int]) -> tuple[int, int]:
         """Return the lowest and highest position that a servo for many turns reads at power-on.
 
-        Where it is not known by how much an offset shifts this turn, the range has only what the
-        servo reads there in any case. Otherwise a zero could be a turn off and nobody would notice.
+        Where it is not known by how much an offset or a reversal shifts this turn, the range has
+        only what the servo reads there in any case. Otherwise a zero could be a turn off and nobody
+        would notice.
 
         Args:
             stored: registers that decide positions, by name; all others are as from the factory.

@@ -140,7 +140,7 @@ class DynamixelX(Dialect):
         low, high = super().turn_at_power_on(model, stored)
         shift = stored.get("homing_offset", 0)
         if stored.get("drive_mode_reverse"):  # not documented: it may count down from 0
-            low -= model.ticks_per_turn - 1
+            high = low
         return low + shift, high + shift
 
     def state_of(self, data: bytes, alarms: ServoAlarm, model: ServoModel) -> ServoState:

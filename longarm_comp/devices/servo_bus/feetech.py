@@ -110,7 +110,7 @@ class FeetechSts(Dialect):
     def turn_at_power_on(self, model: ServoModel, stored: Mapping[str, int]) -> tuple[int, int]:
         low, high = super().turn_at_power_on(model, stored)
         if stored.get("phase_position_reversed"):  # not documented: it may count down from 0
-            low -= model.ticks_per_turn - 1
+            return low, low
         # Nor is whether an offset shifts the turn: only what both turns have is sure
         shift = -stored.get("homing_offset", 0)
         return max(low, low + shift), min(high, high + shift)
