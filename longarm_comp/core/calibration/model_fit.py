@@ -103,6 +103,13 @@ class ModelFit:
         return np.asarray(self.session.measured[:, :3].all(axis=1))
 
     @property
+    def residual_by_tip(self) -> np.ndarray:
+        """The residual (N, 3), m, of positions in the axes of the tip."""
+        tip = self.model.tip_frame(self.posture).matrix()[..., :3, :3]
+        axes = np.broadcast_to(tip, (len(self.residual), 3, 3))
+        return np.asarray(np.einsum("nji,nj->ni", axes, self.residual[:, :3]))
+
+    @property
     def width(self) -> int:
         """The number d of channels."""
         return self.residual.shape[1]

@@ -145,9 +145,8 @@ def share_of_sensor(fit: ModelFit) -> SensorShare:
     """
     found, kept = [_share_by_statement(fit)], (fit.weights > 0) & fit.has_point
     if kept.sum() >= LEAST_ROWS and fit.session.blocks[0].kind == "position":
-        residual = fit.residual[kept][:, :3] * np.sqrt(fit.weights[kept])[:, None]
-        tip = np.broadcast_to(fit.model.tip_frame(fit.posture).matrix(), (len(fit.weights), 4, 4))
-        by_tip = np.einsum("nji,nj->ni", tip[kept, :3, :3], residual)
+        root = np.sqrt(fit.weights[kept])[:, None]
+        residual, by_tip = fit.residual[kept][:, :3] * root, fit.residual_by_tip[kept] * root
         found.append(_share_by_shape(residual, by_tip))
         zeros = FitColumns(fit).prior_columns(JointZero.for_arm(fit.model.arm))[kept, :3]
         found.append(_share_by_joints(residual, zeros))

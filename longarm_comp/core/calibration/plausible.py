@@ -78,9 +78,10 @@ def refuse_implausible(
     session, source = final.session, final.session.source
     aside = SetAside.of(session, final.weights == 0)
     if aside.share > (MOST_SHARING if aside.shared_by else MOST_ASIDE):
+        look = "" if fitted is None else ", or let longarm diagnose look for it"
         raise JobError(
             f"{aside.summary}: a cause that this model lacks, not noise; correct arm.yaml or the "
-            "rows there, or let longarm diagnose look for it",
+            f"rows there{look}",
             session=source,
         )
     refuse_moved_parts(final)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import describe_range
 
@@ -126,7 +127,8 @@ def _try_inputs(session: Session, aside: np.ndarray) -> Iterator[tuple[str, _Fou
         yield f"approach of q{j}", _commonest_text(texts, spoilt, rows)
     yield "order", _densest_stretch(first + 1.0, spoilt, rows)
     for name, values in session.columns.items():
-        yield name, _densest_stretch(values[first], spoilt, rows)
+        if name != ORDER:  # as tried
+            yield name, _densest_stretch(values[first], spoilt, rows)
     for name, texts in session.labels.items():
         constant = (texts == texts[first][visit]).all()
         once = (texts[first], spoilt, rows) if constant else (texts, aside, aside.astype(int))

@@ -23,6 +23,7 @@ from longarm_comp.core.effects.compliances import (
     JointCompliance,
     LinkBending,
     LinkStiffness,
+    LinkTorsion,
     ServoDroop,
 )
 from longarm_comp.core.effects.discovered import Discovered, DiscoveredView
@@ -83,8 +84,9 @@ _OURS: tuple[Kind, ...] = (
     *(JointZero, DhError, CylinderPins, BasePose, TipOffset, TipOrientation, AnchorPlace),
     *(SensorPlace, TouchPlace, TouchBeside, PlanePlace, CameraPose, Encoder, LinkDeflection),
     *(UndeclaredWeight, UndeclaredDrive),
-    *(JointCompliance, BearingTilt, LinkStiffness, TipPayload, LinkMass, TelescopeClearance),
-    *(LinkBending, SlidePlay, GuideCurvature, BaseCompliance, BaseSettling, MeasuredTilt),
+    *(JointCompliance, BearingTilt, LinkStiffness, LinkTorsion, TipPayload, LinkMass),
+    *(TelescopeClearance, LinkBending, SlidePlay, GuideCurvature, BaseCompliance),
+    *(BaseSettling, MeasuredTilt),
     *(GravityDirection, Backlash, CylinderPlay, FrictionHysteresis, GearEccentricity, JointGain),
     *(JointCoupling, PrismaticPitch, ServoDroop, ServoDeadband, ServoQuantisation, ThermalGrowth),
     *(ThermalSoftening, Creep, UnfinishedMove),

@@ -14,7 +14,7 @@ from longarm_comp.core.arm.posture import Posture, Twists
 from longarm_comp.core.arm.spatial import Scalar
 from longarm_comp.core.effects.effect import Effect, Parameter, Sites, form, parameter, place
 from longarm_comp.core.effects.joint_term import JointTerm
-from longarm_comp.core.effects.link_deflection import extra_sag
+from longarm_comp.core.effects.link_deflection import cantilever, extra_sag
 from longarm_comp.core.effects.sites import beams, rows
 from longarm_comp.core.effects.typical_loads import reach, typical_loads
 
@@ -239,3 +239,32 @@ class LinkStiffness(Effect):
 
     def twists(self, posture: Posture) -> Twists:
         return extra_sag(posture, self.softness, self.beam)
+
+
+@dataclass(frozen=True)
+class LinkTorsion(Effect):
+    """Wrong G or section: the beam twists ``1 + softness`` times as much as declared.
+
+    Torsion is known less well than bending: a wound tube may twist five times as much as its E
+    tells, an open section a hundred times.  `bearing_tilt` at its end about its axis is the same
+    motion under the same moment; that of `link_stiffness` adds to it.
+    """
+
+    name = "link_torsion"
+    title = "beam torsion"
+    action = "Compare section, lay-up and G with arm.yaml; a closed section twists less."
+    loaded = True
+
+    beam: str = place(beams)
+    softness: float = parameter(
+        "1", "extra twist over the declared one (GJ true = GJ / (1 + softness))", 1.0, -0.9
+    )
+
+    def twists(self, posture: Posture) -> Twists:
+        made = {}
+        for e in posture.chain.elements:
+            if e.beam.name == self.beam:
+                turn: list[Scalar] = [0.0, 0.0, 0.0]
+                turn[e.axis] = self.softness * cantilever(posture, e)[3 + e.axis]
+                made[e.station] = (0.0, 0.0, 0.0, *turn)
+        return made

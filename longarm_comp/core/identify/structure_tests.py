@@ -72,24 +72,30 @@ def with_left_out(structure: Structure, fit: ModelFit) -> Structure:
     """Return the structure, also flagged if the rows that the fit left out have a cause in common.
 
     Gross errors have no common direction. This is tested by Hotelling's T-squared test of their
-    mean, among rows that measure the same channels, as it is and turned with the side from which a
-    joint arrived; the scatter is taken as at least the noise. Nor do gross errors share a trait
-    (`SetAside`).
+    mean, among rows that measure the same channels, as it is, in the axes of the tip (another
+    reflector on the tool), and turned with the side from which a joint arrived; the scatter is
+    taken as at least the noise. Nor do gross errors share a trait (`SetAside`).
     """
     known = np.isfinite(fit.sigma) & fit.session.measured
-    left_out, tried = np.flatnonzero(fit.weights == 0), list[tuple[float, float, int]]()
+    left_out, tried = np.flatnonzero(fit.weights == 0), list[tuple[float, float, str]]()
     for held in np.unique(known[left_out], axis=0):
         rows = left_out[(known[left_out] == held).all(axis=1)]
+        white = fit.residual[rows][:, held] / fit.sigma[held]
+        metres = (fit.sigma * fit.metres)[held]
         sides = (side for side in fit.session.approach[rows].T if len(np.unique(side)) > 1)
-        for turned in (np.ones(len(rows)), *sides):
-            left = (turned[:, None] * fit.residual[rows][:, held])[turned != 0]
+        ways = [((turned[:, None] * white)[turned != 0], metres, "") for turned in sides]
+        ways.append((white, metres, ""))
+        if fit.session.blocks[0].kind == "position" and held[:3].all():
+            noise = np.full(3, np.sqrt((fit.sigma[:3] ** 2).mean()))
+            ways.append((fit.residual_by_tip[rows] / noise, noise, " in the axes of the tool"))
+        for left, unit, how in ways:
             if 0 < left.shape[1] < len(left):
-                size = float(np.linalg.norm(left.mean(0) * fit.metres[held]))
-                tried.append((_test_mean(left / fit.sigma[held]), size, len(left)))
+                size = float(np.linalg.norm(left.mean(0) * unit))
+                tried.append((_test_mean(left), size, f"{len(left)} rows{how}"))
     least = smallest_that_matters(fit)
     if tried:
-        p, size, count = min(tried)
-        sign = f"is shared by {count} rows that no fit explains"
+        p, size, said = min(tried)
+        sign = f"is shared by {said}, which no fit explains"
         structure = structure.add_test(p * len(tried), size, least, "rows left out", sign)
     for trait in SetAside.of(fit.session, fit.weights == 0).shared_by[:1]:
         moved = np.where(known, fit.residual, 0.0)[left_out] * fit.metres

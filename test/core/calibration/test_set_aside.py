@@ -14,8 +14,10 @@ from small_arm import ARM as SMALL
 from small_arm import measured
 
 import longarm_comp as la
+from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.moved_parts import refuse_moved_parts
+from longarm_comp.core.calibration.plausible import refuse_implausible
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -75,6 +77,10 @@ def test_rows_set_aside_that_share_a_joint_are_a_cause(made: Model) -> None:
     assert found.shared_by[0].p_value < 1e-4
     first = {"input": "q2", "value": "other than 0", "rows": 18}
     assert found.record["rows"] == 18 and found.record["shared_by"][0].items() >= first.items()
+    for of_fit in (np.zeros((20, 3)), None):  # of a calibration; a diagnosis advises no other one
+        with pytest.raises(JobError, match="correct arm") as refused:
+            refuse_implausible(fitted, of_fit, np.zeros((20, 3)), {})
+        assert ("longarm diagnose" in str(refused.value)) == (of_fit is not None)
 
 
 def spoilt(n: int, bad: np.ndarray, **more: np.ndarray) -> SetAside:
@@ -102,7 +108,7 @@ def test_gross_errors_share_nothing() -> None:
     ],
 )
 def test_what_rows_share_is_named(bad: np.ndarray, shared: str) -> None:
-    found = spoilt(120, bad)
+    found = spoilt(120, bad, **{ORDER: np.arange(120.0)})  # as a diagnosis numbers them
     assert [s.input for s in found.shared_by] == [shared]
     assert found.shared_by[0].p_value < 1e-3
 
