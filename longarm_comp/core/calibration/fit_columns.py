@@ -92,11 +92,10 @@ class FitColumns:
             [s.owner.through_others or s.owner.key in still for s in fitted.slots], dtype=bool
         )
         kept = [k for k, s in enumerate(fitted.slots) if s.owner.key not in places and not fixed[k]]
-        values = (fitted.model.values / prior_widths(fitted.slots))[fixed]
-        data = fitted.data - fitted.design[:, fixed] @ values
-        for term in fitted.model.terms:
-            if term.key in places and not slots_of(fitted.model.arm, [term]):
-                data = data + fitted.whiten_columns(self.shift_by([term])[..., None])[:, 0]
+        values = (fitted.model.values / prior_widths(fitted.slots))[kept]
+        removed = (t for t in fitted.model.terms if t.key in places and not t.through_others)
+        left = fitted.residual + self.shift_by([t for t in removed if t.key not in still])
+        data = fitted.whiten_columns(left[..., None])[:, 0] + fitted.design[:, kept] @ values
         if not instead:
             return Marginal(fitted.design[:, kept], data, fitted.gram[np.ix_(kept, kept)])
         return Marginal(

@@ -95,3 +95,19 @@ def test_what_carries_less_is_expected_to_be_softer() -> None:
         [lighter.torque * np.sqrt(share) for share in lighter.shares]
     )
     assert lighter.shares[0] == 1.0 and lighter.shares[-1] < 0.5
+
+
+def test_the_data_without_an_effect_are_those_of_its_own_columns() -> None:
+    """A fit that ends early keeps the design before its last step; the columns on offer are new."""
+    rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
+    fitted = fit_model(Model(DEMO, (LinkDeflection(),)).plus(JointCompliance(2)), rows)
+    (soft,) = (t for t in fitted.model.terms if isinstance(t, JointCompliance))
+    (k,) = (n for n, slot in enumerate(fitted.slots) if slot.owner is soft)
+    columns = fitted.columns.copy()
+    columns[..., k] *= 0.9
+    early = dataclasses.replace(fitted, columns=columns)
+    new, old = (FitColumns(each).marginal_without({soft.key}) for each in (fitted, early))
+    np.testing.assert_allclose(new.y, old.y)
+    left = FitColumns(early).white_columns([soft])[:, 0] * soft.compliance
+    left = new.y - left / soft.parameters(DEMO)[0].width
+    np.testing.assert_allclose(left, fitted.whiten_columns(fitted.residual[..., None])[:, 0])
