@@ -84,7 +84,7 @@ class DiagnosisResult:
         of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
         ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
         others = weigh_alternatives(found.fit, found.search.found, found.search.doubtful)
-        known = replace(measure_uncertainty(found.fit), alternatives=others)
+        known = replace(measure_uncertainty(found.fit, found.errors_anew), alternatives=others)
         return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
     @property

@@ -56,10 +56,16 @@ class LeftOut:
     believed: np.ndarray
 
     @classmethod
-    def of(cls, fit: ModelFit) -> LeftOut | None:
+    def of(cls, fit: ModelFit, anew: np.ndarray | None = None) -> LeftOut | None:
         """Leave rows out of a fit to positions or touches; None if fewer than two rows have one.
 
         The place of a touched point is not known, so its rows are compared with their mean.
+
+        Args:
+            fit: the fit.
+            anew: (N, 3) errors of the rows, m, by models that were chosen and fitted without them,
+                which replace those by the design amid the other rows, but for touches; NaN: there
+                is none.
         """
         kept = np.flatnonzero((fit.weights > 0) & fit.has_point)
         if len(kept) < 2:
@@ -93,6 +99,9 @@ class LeftOut:
                     mine &= ~alone
                 moved = rows[mine, :, :-1]
                 error = rows[mine, :, -1] + moved @ shift
+                if near and anew is not None and touched is None:
+                    proved = anew[kept[np.flatnonzero(out)[mine]]]
+                    error = np.where(np.isnan(proved), error, proved)
                 carried = moved @ inverse @ np.swapaxes(moved, 1, 2)
                 alike = (np.full(len(error), each) for each in (share, near, True))
                 made.append((error, carried, *alike))

@@ -3,10 +3,11 @@
 The posterior of a fit is too certain if the form of the model is not quite right: the error by what
 the model lacks is similar in similar rows, so many rows count as few.  Therefore rows are left out,
 one part of a joint's range at a time and in small random parts.  The error of the fit at these rows
-is computed from the design (no fit is repeated).  An error that no parameter explains is added, so
-that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann. Math.
-Artif. Intell. 74).  Rows that the fit set aside count as far as the arm may have been there.  The
-added error may be larger than the errors in the random parts allow. Then the covariance of the
+is computed from the design (no fit is repeated).  A diagnosis chooses its effects anew without each
+row, and these errors are taken for the random parts.  An error that no parameter explains is added,
+so that 90 % of the rows left out lie inside the stated radius (split conformal; Vovk 2015, Ann.
+Math. Artif. Intell. 74).  Rows that the fit set aside count as far as the arm may have been there.
+The added error may be larger than the errors in the random parts allow. Then the covariance of the
 parameters is multiplied instead, as if there were fewer rows, so the error grows with the distance
 from the rows.
 
@@ -66,18 +67,22 @@ def with_uncertainty(fit: ModelFit) -> Model:
     return dataclasses.replace(fit.model, uncertainty=record, ended_s=fit.session.ended_s)
 
 
-def measure_uncertainty(fit: ModelFit) -> ModelUncertainty:
+def measure_uncertainty(fit: ModelFit, anew: np.ndarray | None = None) -> ModelUncertainty:
     """Estimate the uncertainty of a fit.
 
     Noise and structure come from its errors at rows that are left out of it. If too few rows hold a
     position or a touch, the noise of the fit is taken instead.
+
+    Args:
+        fit: the fit.
+        anew: errors at rows for which its effects were chosen anew, as `LeftOut.of` takes them.
     """
     kept, alike = fit.weights > 0, 1.0
     pointed = fit.has_point & kept
     arm = fit.model.arm
     least = least_moved(arm)
     domain = RowDomain.of(fit.session.q[pointed if pointed.any() else kept], least)
-    left_out = LeftOut.of(fit)
+    left_out = LeftOut.of(fit, anew)
     if left_out is None:
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))

@@ -14,6 +14,7 @@ from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.compensation.unshown import describe_unshown
 from longarm_comp.core.data.commanded import in_frame_of_start
+from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.measurement import compute_posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -114,6 +115,20 @@ class Diagnosis:
         if model is fitted.model:
             return fitted
         return replace(fitted, model=model, posture=compute_posture(model, fitted.session))
+
+    @property
+    def errors_anew(self) -> np.ndarray | None:
+        """(N, 3) errors, m, at the fitted rows by the model to use, chosen and fitted without them.
+
+        NaN where there is none; None if the rows to hold out were given.
+        """
+        if len(self.folds) == 1:
+            return None
+        session = self.fit.session
+        made = np.full((len(session), 3), np.nan)
+        held = np.flatnonzero(folds_of(session, self.seed) >= 0)
+        made[held[self.proof.rows_at]] = self.proof.errors[self.written]
+        return made
 
     @property
     def model(self) -> Model:
