@@ -52,6 +52,19 @@ def test_rows_left_out_are_missed_as_by_a_fit_without_them() -> None:
     np.testing.assert_allclose(found, missed, atol=0.03 * np.abs(missed).max())
 
 
+def test_errors_of_models_chosen_without_the_row_replace_those_amid_the_rows() -> None:
+    fit = calibrated(session([ZEROS], n=80))
+    anew = 3.0 * fit.residual
+    anew[::4] = np.nan
+    plain, chosen = LeftOut.of(fit), LeftOut.of(fit, anew)
+    assert plain is not None and chosen is not None
+    same = (plain.error == chosen.error).all(axis=1)
+    assert same[~plain.amid].all() and same[plain.amid].sum() == np.isnan(anew[:, 0]).sum()
+    assert {*chosen.error[~same].ravel()} == {*anew[~np.isnan(anew)]}
+    wide, usual = (measure_uncertainty(fit, each) for each in (anew, None))
+    assert sizes(wide.structure)[1] > 1.5 * sizes(usual.structure + usual.noise)[1]
+
+
 def test_the_radius_is_as_wide_as_the_rows_left_out_ask_for() -> None:
     rng = np.random.default_rng(2)
     unit = np.tile(np.eye(3), (400, 1, 1))

@@ -16,6 +16,8 @@ from telescope_arm import WEIGHTLESS, heavy
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.measuring import CameraPlacement
 from longarm_comp.core.calibration.candidates import list_candidates
+from longarm_comp.core.calibration.uncertainty import measure_uncertainty
+from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.camera_errors import CameraDrift, CameraRadial, CameraScale
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance, LinkStiffness
@@ -29,6 +31,7 @@ from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.findings import UNWEIGHED
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
+from longarm_comp.workflows.diagnose import DiagnosisResult
 
 
 def of_truth(
@@ -60,6 +63,23 @@ def test_a_tiny_effect_is_named_where_its_rows_tell_it(gain: float, named: bool)
         assert found.findings[0].chances[0][1] > 0.8
         low, high = found.findings[0].parameters[0].ci95 or (0.0, 0.0)
         assert low < gain < high
+
+
+def test_the_promise_counts_errors_at_rows_without_which_the_effects_were_chosen() -> None:
+    found = diagnose(ARM, session([drives.JointGain(at(2, 0.02))], n=100), kinds=(JointGain,))
+    errors, rows = found.errors_anew, found.fit.session
+    assert errors is not None and len(found.folds) > 1
+    for fold in found.folds:
+        here = [int(np.flatnonzero((rows.q == q).all(axis=1))[0]) for q in fold.rows.q]
+        missed = compute_tip_errors(fold.models[found.written], fold.rows)
+        np.testing.assert_array_equal(errors[here], missed)
+    told = DiagnosisResult(found, "", {})
+    assert told.model.uncertainty is not None
+    structure = measure_uncertainty(found.fit, errors).structure
+    np.testing.assert_array_equal(told.model.uncertainty.structure, structure)
+    assert (structure != measure_uncertainty(found.fit).structure).any()
+    held = session([drives.JointGain(at(2, 0.02))], n=50, seed=9)
+    assert diagnose(ARM, rows, test=held, kinds=(JointGain,)).errors_anew is None
 
 
 @pytest.mark.long
