@@ -3,8 +3,6 @@
 Not thread-safe. Times are monotonic seconds and are passed in.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Mapping
@@ -146,8 +144,8 @@ class ServoArm:
         for _ in range(2):  # a late answer to an earlier request comes only once
             before = replace(bus.counters)
             kept = bus.memory(self._ids) | bus.memory(self._ids[::-1])
-            late = bus.counters.timeouts > before.timeouts
-            if late or bus.counters.stray_frames == before.stray_frames:
+            count = bus.counters
+            if count.timeouts > before.timeouts or count.stray_frames == before.stray_frames:
                 break
         else:
             raise JobError("two servos have the same id: `longarm servo scan` shows which")
@@ -375,11 +373,12 @@ class ServoArm:
         readings = {}
         for name, joint in self.config.joints.items():
             state = states[joint.servo_id]
-            readings[name] = ServoReading(
-                joint.to_si(state.position_ticks),
+            position = joint.to_si(state.position_ticks)
+            speed, effort = (
                 joint.speed_to_si(state.velocity_ticks_s),
                 joint.effort_to_si(state.load),
             )
+            readings[name] = ServoReading(position, speed, effort)
         return readings
 
     def _lose_port(self, error: ServoBusError) -> str:
