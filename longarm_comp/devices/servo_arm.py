@@ -373,12 +373,9 @@ class ServoArm:
         readings = {}
         for name, joint in self.config.joints.items():
             state = states[joint.servo_id]
-            position = joint.to_si(state.position_ticks)
-            speed, effort = (
-                joint.speed_to_si(state.velocity_ticks_s),
-                joint.effort_to_si(state.load),
-            )
-            readings[name] = ServoReading(position, speed, effort)
+            position, speed = joint.to_si(state.position_ticks), state.velocity_ticks_s
+            effort = joint.effort_to_si(state.load)
+            readings[name] = ServoReading(position, joint.speed_to_si(speed), effort)
         return readings
 
     def _lose_port(self, error: ServoBusError) -> str:
