@@ -191,7 +191,8 @@ def test_a_path_is_sent_only_from_where_the_arm_still_stands(
     kind, left = trajectory_compensator._TrajectoryCompensator, list(steps)
     state, begun = SimpleNamespace(joints=np.zeros(2)), list[np.ndarray]()
     node: Any = SimpleNamespace(
-        _state=state, _arm=SimpleNamespace(joint_names=("base", "elbow")), _not_now=lambda said: "",
+        _state=state, _arm=SimpleNamespace(joint_names=("base", "elbow")),
+        _not_now=lambda asked, sent_s: "",
         _compensate_request=lambda request, stood: (stood, ""),
     )  # fmt: skip
     node._describe_motion = partial(kind._describe_motion, node)
@@ -205,15 +206,15 @@ def test_a_path_is_sent_only_from_where_the_arm_still_stands(
 
     def told() -> Any:
         with pytest.raises(StopIteration) as ended:
-            kind._compute_path(node, SimpleNamespace(trajectory=None)).send(None)
+            kind._compute_path(node, SimpleNamespace(trajectory=None), 7.0).send(None)
         return ended.value.value
 
     made, why = told()
     assert len(begun) == tries and words in why and bool(words) == bool(why)
     assert made is (None if words else begun[-1])
     left[:] = [0.0]
-    node._not_now = lambda said: "the joints are doubtful"
-    assert told() == (None, "the joints are doubtful")
+    node._not_now = lambda asked, sent_s: f"stopped after {sent_s:g} s"
+    assert told() == (None, "stopped after 7 s")
 
 
 @pytest.mark.parametrize("accepted", [False, True])
