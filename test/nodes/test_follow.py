@@ -56,10 +56,12 @@ class Followed:
     def ends(self, status: int, code: int) -> str:
         """Wait for the end; what it says.
 
-        A driver that had no processor time refuses what may be old; then it is asked again.
+        A driver that had no processor time refuses what may be old, or may have been sent before it
+        went on; then it is asked again.
         """
         self.rig.stage.spin(self.result.done)
-        while "this node was away" in (got := self.result.result()).result.error_string:
+        old = "this node was away", "the order was sent before the arm was stopped, or went on"
+        while any(why in (got := self.result.result()).result.error_string for why in old):
             self._send()
             self.rig.stage.spin(self.result.done)
         assert (got.status, got.result.error_code) == (status, code), got.result.error_string
