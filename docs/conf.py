@@ -1,7 +1,5 @@
 """The documentation as pages: `make docs`. The pages of effects are made with it."""
 
-from __future__ import annotations
-
 import os
 import re
 import sys

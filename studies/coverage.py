@@ -6,8 +6,6 @@ public data (off the grid, or at random), places (an eighth of the joint space, 
 of arms that touched points, where a tool stood), and fresh random poses of simulated arms.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace

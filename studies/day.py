@@ -1,7 +1,5 @@
 """Days of work: the table, the files and the figure of many (`studies/day_work.py` is one day)."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Figure of the day of work: error at the true tip over the hours, and the circumstances."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path

@@ -5,8 +5,6 @@ same targets (`WAYS`).  Where an arm stands still to be measured, the time count
 meanwhile are not served.  Errors are those of the true tip at the targets that were served.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 

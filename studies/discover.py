@@ -4,8 +4,6 @@ Every case hides one cause of `studies/outside.py` besides errors of geometry. E
 the noise-free truth, on fresh poses of the plan that was measured and at random poses off it.
 """
 
-from __future__ import annotations
-
 import itertools
 import time
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Imports of libraries that only the studies need: the extra ``studies``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -4,8 +4,6 @@ Every arm has errors of geometry of its own, the kind's soft joints, and some ha
 so much the true arm, by other physics, differs from the drawing that all share.
 """
 
-from __future__ import annotations
-
 import resource
 import time
 from pathlib import Path

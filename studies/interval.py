@@ -1,7 +1,5 @@
 """95 % intervals: of means by resampling, of shares in closed form."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ with the friction of its data sheet, from the side that its joint came from, and
 steps of its register.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any

@@ -4,8 +4,6 @@ Cases run in parallel on all cores, or on a dask cluster.  Every finished case i
 JSON-lines file. Cases in the file are not run again.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import time

@@ -1,7 +1,5 @@
 """Cases of the loop study: effects, arm and data."""
 
-from __future__ import annotations
-
 import dataclasses
 import hashlib
 import itertools

@@ -1,7 +1,5 @@
 """Scores of a diagnosis against the truth."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Sequence

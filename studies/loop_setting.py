@@ -1,7 +1,5 @@
 """Set-up of a case: the true arm, its measured session, and the visibility of its effects."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Tables of the loop study: shares with Wilson intervals, by group, plan and sample size."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import Any

@@ -1,7 +1,5 @@
 """The truth of a case: hidden effects of the simulator in the terms of the library."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 

@@ -1,7 +1,5 @@
 """Many targets, or realisable joints of many, as arrays."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any

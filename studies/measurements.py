@@ -1,7 +1,5 @@
 """The rows that a calibration needs, by what a row measures: pose, position, distance, touch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ Sizes are for the demonstration's arm. Their physics is their own: forces on the
 errors from the settled torques, seats, stops, recorded drivers, a window before the camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar

@@ -3,8 +3,6 @@
 Both are scikit-learn, which only the studies need.
 """
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 Where the effect has to be found, the whole diagnosis is run, which holds back some of the poses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any

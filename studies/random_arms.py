@@ -1,7 +1,5 @@
 """Random variants of an arm, and a mix of hidden effects with the paper's error sizes."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm

@@ -1,7 +1,5 @@
 """The use of joint readings: names of droop and softness, the tip without a camera, trim."""
 
-from __future__ import annotations
-
 import itertools
 import tempfile
 from collections.abc import Callable, Iterator, Sequence

@@ -7,8 +7,6 @@ their seats on top, as Tenhumberg and Baeuml (HUMANOIDS 2020, 2021) have it; ``d
 is the base and tool placement alone.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

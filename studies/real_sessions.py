@@ -1,7 +1,5 @@
 """Reads the public data sets as sessions, with their stated splits."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ touches each place in turn, with the distance from the mean of the held-out touc
 rigid fit that shares no code with the package stands beside it (`studies/own_rigid.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path

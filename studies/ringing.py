@@ -5,8 +5,6 @@ calibration at rest identifies the stiffness; of it the modes are computed at th
 The true arm rings by its own physics (`sim/ringing.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

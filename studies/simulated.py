@@ -1,7 +1,5 @@
 """Sessions of the true arm: driven through poses, measured by its cameras and encoders."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Literal
 

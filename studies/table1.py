@@ -1,7 +1,5 @@
 """Table I over many arms: means, spread, paired differences, the paper's figures."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Sequence

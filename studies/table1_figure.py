@@ -1,7 +1,5 @@
 """The figure of Table I: the paper's Fig. 6 with its spread over the arms."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

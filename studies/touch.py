@@ -5,8 +5,6 @@ rows of the place that was held out.  Nothing else is known of these arms.  That
 hold-out of the diagnosis, too, which is opened once and selects nothing.
 """
 
-from __future__ import annotations
-
 import csv
 from collections import Counter
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The demonstration as a short animation, from what it wrote."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Iterator

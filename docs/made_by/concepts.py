@@ -1,7 +1,5 @@
 """One picture for each idea of docs/glossary.md."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Pictures of one demonstration, from the folder that `longarm demo` wrote."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass

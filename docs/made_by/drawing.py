@@ -1,7 +1,5 @@
 """What the drawn pictures share: size, letters, colours, files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

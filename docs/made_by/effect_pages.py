@@ -1,7 +1,5 @@
 """A page for every effect of the library, from its class."""
 
-from __future__ import annotations
-
 import inspect
 from pathlib import Path
 from typing import Any

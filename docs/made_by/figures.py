@@ -5,8 +5,6 @@ the first was broken off. A table stands in its page below ``<!-- figures: NAME 
 command has not run on this code stays as it is, and is named at the end.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -3,8 +3,6 @@
 python docs/made_by/live_page.py     this picture alone
 """
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess

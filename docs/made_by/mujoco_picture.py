@@ -3,8 +3,6 @@
 python examples/mujoco_walk.py build/mujoco; python docs/made_by/mujoco_picture.py build/mujoco
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

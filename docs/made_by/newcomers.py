@@ -9,8 +9,6 @@ The boom's truth is the simulated arm's: rods that are integrated, and effects t
 Each walk ends with exit code 1 where its arm did not come as near as its page promises.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

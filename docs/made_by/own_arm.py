@@ -1,7 +1,5 @@
 """Pictures of docs/your_own_arm.md: rows of the table, beams, marker and cameras."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import yaml

@@ -4,8 +4,6 @@ python docs/made_by/pictures.py build/demo     all; the folder is one that `long
 python docs/made_by/pictures.py                those that need no demonstration
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

@@ -4,8 +4,6 @@ The version stands in longarm_comp/version.py and what changed in CHANGELOG.md, 
 a Changelog; from these two come the manifests of ROS, the citation and the changelogs of catkin.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from dataclasses import dataclass

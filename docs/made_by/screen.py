@@ -1,7 +1,5 @@
 """The first screen of a report's page, as Chromium draws it."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import tempfile

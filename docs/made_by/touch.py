@@ -1,7 +1,5 @@
 """Pictures of docs/touch.md: the parts to print, and an arm that touches one point."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

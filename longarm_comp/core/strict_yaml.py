@@ -6,8 +6,6 @@ counted after aliases are followed. libyaml finds the values where it is install
 PyYAML reads once more, which shows the place.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The calibration of one camera, with the fields of a sensor_msgs/CameraInfo."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

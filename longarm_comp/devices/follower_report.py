@@ -1,7 +1,5 @@
 """What a trajectory follower reports: its state, events, accepted trajectories, steps."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import Enum
 

@@ -1,7 +1,5 @@
 """Checks of the registers in a servo's memory, before the servo is commanded."""
 
-from __future__ import annotations
-
 from longarm_comp.core.errors import JobError
 from longarm_comp.devices.servo_bus.memory import Register, ServoMemory
 from longarm_comp.devices.servo_joint import JointConfig

@@ -5,8 +5,6 @@ the goals that ``step`` returns (`ServoArm.cycle`). When a fault begins, ``step`
 goals that hold the servos. After that it returns no goals until ``reset``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks whether the read-back of the servos is plausible and follows the goals."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """The user's folder for files that outlast a process (XDG Base Directory Specification)."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

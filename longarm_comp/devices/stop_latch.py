@@ -1,7 +1,5 @@
 """Stops and faults of an arm, kept in files, so that they outlast every process until reset."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re

@@ -6,8 +6,6 @@ move starts with the corrections found.  If a large error remains after all step
 encoder that is frozen or has slipped, this joint's correction is undone and reported.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

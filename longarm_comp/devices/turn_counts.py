@@ -1,7 +1,5 @@
 """Follows the readings of servos, to know whether they still tell where the joints stand."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Mapping
 

@@ -1,7 +1,5 @@
 """The driver's services `~/estop`, `~/hold` and `~/reset`, which work in every lifecycle state."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

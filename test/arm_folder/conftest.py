@@ -1,7 +1,5 @@
 """A folder as `longarm init` makes it."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`longarm init` and `longarm check`: files that fit together, for any arm; what is assumed."""
 
-from __future__ import annotations
-
 import io
 import math
 import re

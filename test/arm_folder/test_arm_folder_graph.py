@@ -1,7 +1,5 @@
 """`longarm up` with arms that are not the demonstration's, over a real graph."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

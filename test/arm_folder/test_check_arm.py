@@ -1,7 +1,5 @@
 """What `longarm check` says of an arm.yaml alone: how the arm stands, its beams, its range."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

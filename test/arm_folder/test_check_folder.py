@@ -1,7 +1,5 @@
 """`longarm check` of an arm's folder: what is wrong, missing or not yet measured."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """A plan looked at before anything moves: what the cameras see, boxes, floor, limits."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path

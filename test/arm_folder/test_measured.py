@@ -1,7 +1,5 @@
 """The record of what was measured: it counts as long as the values are those measured."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

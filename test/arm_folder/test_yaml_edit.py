@@ -1,7 +1,5 @@
 """Values of a YAML file change; comments, order and all else stay."""
 
-from __future__ import annotations
-
 import pytest
 
 from longarm_comp.arm_folder.parameter_file import edit_text

@@ -1,7 +1,5 @@
 """Bad input on the command line: one line that says what is wrong, and its exit code."""
 
-from __future__ import annotations
-
 import csv
 import shutil
 from pathlib import Path

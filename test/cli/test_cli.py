@@ -1,7 +1,5 @@
 """The program ``longarm``: its help, its exit codes, what it loads."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """What the commands do, from end to end."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import inspect

@@ -3,8 +3,6 @@
 ``make fuzz`` runs 3,000 of them; the ordinary tests 60.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 import os

@@ -1,7 +1,5 @@
 """Ctrl-C ends a command with one line and exit code 130, also while it still loads."""
 
-from __future__ import annotations
-
 import errno
 import signal
 import subprocess

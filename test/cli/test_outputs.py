@@ -1,7 +1,5 @@
 """What commands may overwrite, and what they read: one rule for all of them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable

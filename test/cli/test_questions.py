@@ -1,7 +1,5 @@
 """Questions on a terminal on which a progress bar runs."""
 
-from __future__ import annotations
-
 from asked_terminal import at_terminal
 
 PROGRAM = """

@@ -1,7 +1,5 @@
 """Numbers that no arm has end in one line, whatever computes with them."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Errors say one line and survive the way between processes."""
 
-from __future__ import annotations
-
 import pickle
 
 import numpy as np

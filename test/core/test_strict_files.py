@@ -1,7 +1,5 @@
 """Files that could be read in two ways, would not end, or hold what no machine has: refused."""
 
-from __future__ import annotations
-
 import io
 import os
 import resource

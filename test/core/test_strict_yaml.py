@@ -1,7 +1,5 @@
 """YAML is read in one way, whether PyYAML has libyaml or not."""
 
-from __future__ import annotations
-
 import pytest
 from yaml.scanner import Scanner
 

@@ -1,7 +1,5 @@
 """Servos of both protocols, and a setup that nobody watches."""
 
-from __future__ import annotations
-
 import io
 import sys
 from collections.abc import Iterator

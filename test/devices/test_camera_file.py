@@ -1,7 +1,5 @@
 """Calibration files of cameras: as many coefficients as topics may have, and no fisheye."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

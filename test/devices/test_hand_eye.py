@@ -1,7 +1,5 @@
 """`longarm stereo hand-eye`: the head stands elsewhere than its file says; judged at the tip."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

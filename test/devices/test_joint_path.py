@@ -1,7 +1,5 @@
 """The path of a trajectory: its peak velocity, its extremes, its slopes."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Boxes that the arm must keep out of: what crosses them, on the way too, and who refuses it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`docs/add_a_protocol.md`: a protocol from outside drives servos like those of the package."""
 
-from __future__ import annotations
-
 import json
 import os
 import runpy

@@ -1,7 +1,5 @@
 """Our side of the servo bus: bytes against the vendors' libraries, faults against the emulator."""
 
-from __future__ import annotations
-
 import copy
 import random
 import time

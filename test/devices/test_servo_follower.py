@@ -1,7 +1,5 @@
 """The trajectory follower with a fake clock: on time, smooth, and within every bound."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every way the trajectory follower must stop, and how it goes on."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from dataclasses import replace

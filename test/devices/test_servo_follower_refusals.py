@@ -1,7 +1,5 @@
 """Trajectories that the follower refuses, and states in which it takes none."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

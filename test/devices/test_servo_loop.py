@@ -1,7 +1,5 @@
 """The whole servo side without ROS: configuration, follower and bus against emulated servos."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import closing

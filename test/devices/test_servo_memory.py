@@ -1,7 +1,5 @@
 """What servos have stored: shown by scan, heeded or refused."""
 
-from __future__ import annotations
-
 import re
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The first evening with servos: which port, who may open it, one id after another."""
 
-from __future__ import annotations
-
 import errno
 import io
 import sys

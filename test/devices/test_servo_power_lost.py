@@ -1,7 +1,5 @@
 """Servos that a fault has to stop, that lost their power, or that are others than before."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import nullcontext

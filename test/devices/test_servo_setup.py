@@ -1,7 +1,5 @@
 """`longarm servo scan` and `setup` on emulated buses: what is found is what is true there."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

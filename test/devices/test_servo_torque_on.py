@@ -1,7 +1,5 @@
 """Torque on: which servos get it, and their goals, from readings that may be false."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing, contextmanager, nullcontext
 from dataclasses import replace

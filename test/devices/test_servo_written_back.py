@@ -1,7 +1,5 @@
 """Nudges of a setup, and what it changed in servos: written back, whatever happens."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

@@ -1,7 +1,5 @@
 """What a setup of servos that was broken off leaves: written back to its arm, and to no other."""
 
-from __future__ import annotations
-
 import json
 import os
 from contextlib import closing

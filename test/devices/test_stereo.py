@@ -1,7 +1,5 @@
 """Stereo measurement against rendered images whose truth is known."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The mathematics under the stereo measurement, hand-eye, and calibration from pictures."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

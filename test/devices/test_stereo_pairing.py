@@ -1,7 +1,5 @@
 """Left and right images become pairs by their stamps, whatever the order of arrival."""
 
-from __future__ import annotations
-
 from longarm_comp.devices.stereo.pairing import Drop, Side, StereoPairer
 
 MS = 1_000_000

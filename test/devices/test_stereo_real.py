@@ -4,8 +4,6 @@ Lengths are in squares. A quick script with OpenCV's own corners and linear tria
 1.4 % rms on the held-out square lengths (the data's README); this is the figure to beat.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

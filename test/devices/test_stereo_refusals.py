@@ -1,7 +1,5 @@
 """Pictures, cameras and settings that the stereo measurement refuses, each with its reason."""
 
-from __future__ import annotations
-
 import dataclasses
 import pickle
 from typing import Any

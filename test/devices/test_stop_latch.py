@@ -1,7 +1,5 @@
 """Files of stops: whose they are, damaged ones, and folders that cannot be read or written."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Trim: readings brought to where joints were sent, bounded, and never after a wrong encoder."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import replace

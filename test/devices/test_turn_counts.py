@@ -1,7 +1,5 @@
 """Whether readings still tell where joints stand, by readings alone."""
 
-from __future__ import annotations
-
 import pytest
 from follower_rig import servo_state
 

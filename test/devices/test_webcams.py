@@ -1,7 +1,5 @@
 """Webcams: what Linux tells of them, a picture through OpenCV, the lines for ROS."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import cv2

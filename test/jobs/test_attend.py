@@ -1,7 +1,5 @@
 """`longarm status`, `hold`, `stop` and `reset`, on the real driver."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -3,8 +3,6 @@
 The arm goes where it is sent at once (`quick_arm.py`); `test_demo.py` collects with real servos.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 import signal

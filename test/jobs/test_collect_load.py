@@ -1,7 +1,5 @@
 """`longarm collect` of a plan with payloads: who says what the arm carries."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import shutil

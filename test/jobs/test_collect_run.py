@@ -1,7 +1,5 @@
 """`longarm collect` on a graph: what it says where the marker is lost, hold, boxes."""
 
-from __future__ import annotations
-
 import resource
 import time
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """`longarm demo` in small: the whole loop over real processes, its clean-up, its verdict."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Every ending of `touch` and `apply`: its cause, what is kept, the next command."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

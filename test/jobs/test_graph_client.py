@@ -1,7 +1,5 @@
 """A client of a running graph whose servers come and go."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`verify`, `loop`, `apply` and `undo` on a graph that stays up; the arm goes at once."""
 
-from __future__ import annotations
-
 import io
 import itertools
 import json

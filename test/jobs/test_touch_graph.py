@@ -1,7 +1,5 @@
 """`longarm touch` on a graph: rows of joints at rest, names, undo, end; real rclpy over DDS."""
 
-from __future__ import annotations
-
 import dataclasses
 import threading
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cubic paths: derivatives, extremes and slopes, against what they were sampled from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`kinematics` learns at work on a real graph: play grows while targets are served."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess

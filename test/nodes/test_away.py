@@ -1,7 +1,5 @@
 """`kinematics` that is stopped and continued, and drowned in targets: what still moves the arm."""
 
-from __future__ import annotations
-
 import signal
 import time
 

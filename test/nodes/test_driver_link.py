@@ -3,8 +3,6 @@
 The driver's side is played by the test, so that it can be absent, in fault, silent or double.
 """
 
-from __future__ import annotations
-
 import signal
 import time
 from collections.abc import Callable, Iterator

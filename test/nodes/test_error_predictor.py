@@ -1,7 +1,5 @@
 """`error_predictor` as a process: answers, refuses, reloads; `kinematics` takes its error off."""
 
-from __future__ import annotations
-
 import math
 import signal
 import time

@@ -1,7 +1,5 @@
 """The driver's action `follow_joint_trajectory`, on an emulated bus."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from types import SimpleNamespace

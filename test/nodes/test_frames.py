@@ -1,7 +1,5 @@
 """Frames on a real graph: the arm's own, its URDF, and targets in frames that others tell."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

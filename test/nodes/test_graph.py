@@ -1,7 +1,5 @@
 """Whole graphs on simulated arms: two side by side, killed nodes, a drifted arm, `longarm up`."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import signal

@@ -1,7 +1,5 @@
 """Every encoding that cameras send: the real detector finds the tip on rendered pairs of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 

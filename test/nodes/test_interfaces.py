@@ -1,7 +1,5 @@
 """The generated messages: they match the contract and arrive over a real graph."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

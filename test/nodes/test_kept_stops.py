@@ -1,7 +1,5 @@
 """Stops are kept: when a driver or a servo dies, and where nothing can be written."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """`kinematics` and `error_predictor` as processes on a real graph."""
 
-from __future__ import annotations
-
 import math
 import signal
 from pathlib import Path

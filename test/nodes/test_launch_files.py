@@ -1,7 +1,5 @@
 """Configuration and launch files against the nodes that read them, without starting any."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import os

@@ -1,7 +1,5 @@
 """Layouts for Foxglove and PlotJuggler: in the form that these read, of topics that are there."""
 
-from __future__ import annotations
-
 import json
 import re
 import xml.etree.ElementTree as ElementTree

@@ -1,7 +1,5 @@
 """What was learned at work is kept: until its file can be written, and while its model is away."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace

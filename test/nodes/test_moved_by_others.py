@@ -1,7 +1,5 @@
 """An arm without our driver that somebody else moves: how its joints came there is not known."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

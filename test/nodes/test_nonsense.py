@@ -1,7 +1,5 @@
 """Nonsense on the graph moves nothing, is said, and silences nothing else."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Which trajectories `servo_driver` follows, as a process on an emulated bus."""
 
-from __future__ import annotations
-
 import signal
 import time
 from functools import partial

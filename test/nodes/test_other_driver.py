@@ -1,8 +1,6 @@
 """An arm that another program drives: `longarm up --no-driver`, its status, and servos that give
 way without a driver that says what was reached."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 

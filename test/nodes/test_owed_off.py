@@ -1,7 +1,5 @@
 """Torque off that a servo has not confirmed is owed until it has, whatever the driver does."""
 
-from __future__ import annotations
-
 import signal
 from pathlib import Path
 

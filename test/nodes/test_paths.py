@@ -1,7 +1,5 @@
 """`trajectory_compensator` between a planner and a controller: one of this test's, and ours."""
 
-from __future__ import annotations
-
 import asyncio
 import time
 from functools import partial

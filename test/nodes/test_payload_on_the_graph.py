@@ -1,7 +1,5 @@
 """A payload that is told wrong, on the graph: the servos' loads say it, and correct the command."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

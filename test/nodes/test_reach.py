@@ -1,7 +1,5 @@
 """The action `reach`: what a cancelled goal still moves."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

@@ -1,7 +1,5 @@
 """The tip by readings, on the graph of an arm whose servos give way: said, watched and trimmed."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What `kinematics` has at hand for the next target: at first, after a fault, with any /clock."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable, Iterator
 from itertools import pairwise

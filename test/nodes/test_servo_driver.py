@@ -1,7 +1,5 @@
 """`servo_driver` as a process, on an emulated bus that the test holds in its hands."""
 
-from __future__ import annotations
-
 import math
 import signal
 from pathlib import Path

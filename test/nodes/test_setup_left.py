@@ -1,7 +1,5 @@
 """A driver and what a setup of servos that was broken off has left."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Nodes end by SIGINT whoever started them: shells start what runs in the background deaf to it."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """`simulated_arm` while it runs: what is set together is taken together, or not at all."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")

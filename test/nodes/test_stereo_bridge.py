@@ -1,7 +1,5 @@
 """`stereo_bridge` as a process, on rendered pairs with a known truth and with every fault."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """Ends of stops: none ends a stop that came after it was asked, nor what it does not name."""
 
-from __future__ import annotations
-
 import errno
 import os
 import tempfile

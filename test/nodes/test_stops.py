@@ -1,7 +1,5 @@
 """A stop or hold stands until it is reset: in every state of the driver, whatever happens to it."""
 
-from __future__ import annotations
-
 import itertools
 import signal
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Processes of a graph that end: which are restarted, which stay ended, and what goes on."""
 
-from __future__ import annotations
-
 import os
 import sys
 import threading

@@ -1,7 +1,5 @@
 """A machine that is suspended: its monotonic clock stands still meanwhile."""
 
-from __future__ import annotations
-
 import signal
 import time
 

@@ -1,7 +1,5 @@
 """The monitor of the tip: which one drifts, the prediction or the way to the target."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace

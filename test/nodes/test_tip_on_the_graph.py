@@ -4,8 +4,6 @@ The model holds what the simulated arm hides, so that only the way from target t
 the circumstances that a command is computed for must be those that the arm arrives in.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """A tracker that stands anywhere, on a real graph: before its place is known, and after."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from collections.abc import Iterator

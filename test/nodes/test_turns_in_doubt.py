@@ -1,7 +1,5 @@
 """A doubt about a servo's turns outlasts the driver's process, and ends by a person's word."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import pytest

@@ -1,7 +1,5 @@
 """What `kinematics` makes of a weighed payload: as old as its rest, and refused as any other."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Callable, Iterator

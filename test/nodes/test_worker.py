@@ -1,7 +1,5 @@
 """The calls of rclpy that its documentation does not list."""
 
-from __future__ import annotations
-
 import ast
 import threading
 import time

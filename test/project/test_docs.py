@@ -1,7 +1,5 @@
 """The documentation as pages: built without a warning, linked, offline."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Every command of the pages, read from their text: it parses, its files exist, and walks run."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import shlex

@@ -1,7 +1,5 @@
 """What the pages name is there: commands, options, make targets, tests, pages, sections."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

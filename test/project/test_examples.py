@@ -1,7 +1,5 @@
 """The examples, run as a user runs them; what they print is what they promise."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """`make figures`: what it runs, when it runs it again, and where it writes."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

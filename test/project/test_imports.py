@@ -1,7 +1,5 @@
 """What is not imported where it is not needed: no node can wait seconds for scikit-learn."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import subprocess

@@ -1,7 +1,5 @@
 """Libraries as Ubuntu 24.04 has them: refused in one line, with pip's command."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What `make test` installs: as root, with sudo, with neither; and what it leaves out without."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

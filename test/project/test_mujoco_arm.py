@@ -1,7 +1,5 @@
 """An arm in another physics engine: what its example prints is what the real tip does."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import re

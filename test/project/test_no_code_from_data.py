@@ -1,7 +1,5 @@
 """No file of data names code: nothing that lies in a folder is executed (SECURITY.md)."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

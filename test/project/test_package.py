@@ -1,7 +1,5 @@
 """The package as it is installed: nothing left out, nothing undeclared, one version."""
 
-from __future__ import annotations
-
 import ast
 import email
 import json

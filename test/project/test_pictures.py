@@ -1,7 +1,5 @@
 """Pictures of README and pages: there, small, shown, and with the figures of today's code."""
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

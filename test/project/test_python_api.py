@@ -1,7 +1,5 @@
 """``import longarm_comp as la``: what a user of Python gets, and that the commands do the same."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import logging

@@ -1,7 +1,5 @@
 """One version in one place, and changelogs as the release tools of catkin and bloom read them."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Who may import whom: the rooms of the package, read from the source without running it."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Where installed files are looked for: the checkout, the own prefix, sourced workspaces."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

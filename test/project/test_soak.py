@@ -1,7 +1,5 @@
 """`make soak` in small, and its ledger: what must never happen is noticed."""
 
-from __future__ import annotations
-
 import json
 import mmap
 import os

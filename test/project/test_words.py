@@ -1,7 +1,5 @@
 """One word for one thing: the glossary says which words a page or message does not use."""
 
-from __future__ import annotations
-
 import ast
 import inspect
 import re

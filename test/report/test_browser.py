@@ -4,8 +4,6 @@ Chromium draws a copy of the page that carries a recorder (first in the head: er
 refused loads) and a visitor (last in the body: looks, clicks, types, and leaves JSON behind).
 """
 
-from __future__ import annotations
-
 import base64
 import html
 import json

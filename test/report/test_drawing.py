@@ -1,7 +1,5 @@
 """What is drawn: arrows and scene of the report."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The page of a loop says what of each round the user must know."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

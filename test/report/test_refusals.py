@@ -1,7 +1,5 @@
 """What the report refuses: records, details, folders; nothing is written then."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The report as it is written: the record, and the page's words and tables."""
 
-from __future__ import annotations
-
 import base64
 import copy
 import dataclasses

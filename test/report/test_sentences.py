@@ -7,8 +7,6 @@ a camera that drifts, the other a set of names that its rows cannot tell apart. 
 measured arms, Pandas that touched sockets and DLR's Justin; these are looked at as they are, too.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from math import sqrt

@@ -1,7 +1,5 @@
 """Sessions as bags: exact round trips, and bags as a robot records them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

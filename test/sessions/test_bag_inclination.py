@@ -1,7 +1,5 @@
 """What inclinometers tell, in a bag as on a running graph."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Broken bags, and what a session as a bag refuses to read or to write over."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

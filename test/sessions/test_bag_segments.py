@@ -1,7 +1,5 @@
 """A bag that is readable while it is recorded, and what is left of one that was broken off."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

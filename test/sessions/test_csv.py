@@ -1,7 +1,5 @@
 """Sessions as CSV: what comes back, and what is refused with which words."""
 
-from __future__ import annotations
-
 import csv
 import os
 from dataclasses import replace

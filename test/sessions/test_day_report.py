@@ -1,7 +1,5 @@
 """`longarm day-report`: a bag of work becomes a page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`longarm import-data`: tables of other programs become sessions, or one line says what lacks."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

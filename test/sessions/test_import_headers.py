@@ -1,7 +1,5 @@
 """Tables as instruments write them: headers, other files, and rows of two clocks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

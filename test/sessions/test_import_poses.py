@@ -1,7 +1,5 @@
 """Poses as instruments write them: `longarm import-data` reads the same numbers, or refuses."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables as trackers and controllers write them: several files, markers, times; and back again."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Long bags: read in bounded memory, sightings that come late, joint states of several senders."""
 
-from __future__ import annotations
-
 import tracemalloc
 from itertools import islice, pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Targets as CSV: what comes back, and what is refused with which words."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -5,8 +5,6 @@ true rotations are not first order; near a load gate one may fall on the other s
 deadband without load keeps the side it came from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

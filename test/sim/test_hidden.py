@@ -1,7 +1,5 @@
 """Every hidden effect: its dose, its sign, and by hand where a hand can."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

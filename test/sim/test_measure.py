@@ -1,7 +1,5 @@
 """Measured sessions: columns, chance, history."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The emulated bus against the vendors' own client libraries, and its mechanics."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The simulated arm against textbooks, an FE library, another simulator, and its own claims."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """``make soak``: `python -m soak` with the folder `test` on the path."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """The clock that the nodes of a soak go by: /clock, which may stand, run fast and jump."""
 
-from __future__ import annotations
-
 import time
 
 from rclpy.node import Node

@@ -1,7 +1,5 @@
 """Faults of a soak test, one class each: it breaks something and repairs it."""
 
-from __future__ import annotations
-
 import math
 import os
 import signal

@@ -1,7 +1,5 @@
 """Detection of growing memory and open handles of processes, from Linux's /proc."""
 
-from __future__ import annotations
-
 import os
 from collections import defaultdict
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Ledger of targets: each one is answered once, and each executed command is sent once."""
 
-from __future__ import annotations
-
 import re
 from collections import Counter, OrderedDict
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Runs the soak test: targets at a steady rate, faults at random times, a report at the end."""
 
-from __future__ import annotations
-
 import os
 import threading
 import time

@@ -1,7 +1,5 @@
 """The graph under test: sends a stream of targets and enters the answers in the ledger."""
 
-from __future__ import annotations
-
 import os
 import re
 import time

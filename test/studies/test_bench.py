@@ -1,7 +1,5 @@
 """Benchmarks in small: each runs, gives finite figures, and says what it cannot measure."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

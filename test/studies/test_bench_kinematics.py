@@ -1,7 +1,5 @@
 """The benchmarks of kinematics run in small; the peers are asked for the same arm."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

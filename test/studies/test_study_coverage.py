@@ -1,7 +1,5 @@
 """The study of stated radii: pooled by set, and over the command."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The study of a working day: what each way of commanding leaves, on a small arm in seconds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The loop study: its cases, its judgement, its file, its engines."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """The study of measurements: what it counts, and that more rows of anything help."""
 
-from __future__ import annotations
-
 import numpy as np
 from small_arm import ARM
 

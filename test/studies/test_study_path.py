@@ -1,7 +1,5 @@
 """The study of planned paths: curves, play, deviations, and the command with its file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

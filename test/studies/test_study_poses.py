@@ -1,7 +1,5 @@
 """The study of poses: what it measures, and its table."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 

@@ -1,7 +1,5 @@
 """The ladder on real arms, on the stated splits (Justin's data are not shipped)."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

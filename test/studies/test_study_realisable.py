@@ -1,7 +1,5 @@
 """The study of realisable commands: its figures are the ones that were promised."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Table I: arms that are really commanded, and the table made of them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The study of touches: planted arms through the whole of it, the six real ones as far as rigid."""
 
-from __future__ import annotations
-
 import csv
 import json
 from pathlib import Path

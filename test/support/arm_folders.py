@@ -1,7 +1,5 @@
 """The files of an arm's folder: changed by a test, and what `longarm check` finds in them."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

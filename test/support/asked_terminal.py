@@ -1,7 +1,5 @@
 """Somebody at a terminal who answers the questions of a program."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

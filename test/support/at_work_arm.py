@@ -1,7 +1,5 @@
 """The small arm with play in one joint, by other physics: a model fitted to it, and sightings."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bags as a robot records them, message by message, for tests of reading."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager

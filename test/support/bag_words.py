@@ -1,7 +1,5 @@
 """Messages of words in a bag that is being written, and what its metadata say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from longarm_comp.core.strict_yaml import read_yaml

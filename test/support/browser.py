@@ -1,7 +1,5 @@
 """The browser that tests look at pages with: Debian's Chromium, or one like it."""
 
-from __future__ import annotations
-
 import os
 import shutil
 

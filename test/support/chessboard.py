@@ -1,7 +1,5 @@
 """A plain chessboard as a target, as in the photographs of a real stereo rig."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

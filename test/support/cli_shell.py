@@ -1,7 +1,5 @@
 """``longarm`` as its tests run it, and an arm with everything the commands make of it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

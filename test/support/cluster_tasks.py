@@ -1,7 +1,5 @@
 """Tasks for the workers of a cluster: each imports this file, so it imports next to nothing."""
 
-from __future__ import annotations
-
 import os
 import time
 

@@ -1,7 +1,5 @@
 """A cobot whose joints turn far, and a plan that turns one on through pi."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A four-joint arm on a telescoping column, for whose slide no beam and no guide is declared."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from longarm_comp.core.arm.arm import Arm

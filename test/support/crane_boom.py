@@ -4,8 +4,6 @@ Nothing of the package is imported.  Each spring turns its piece by compliance t
 all that hangs beyond it; that is repeated until nothing moves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The small arm with a hydraulic cylinder between two pins."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from small_arm import ARM

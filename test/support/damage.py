@@ -1,7 +1,5 @@
 """Seeded damage to files: what typing, spreadsheets and broken disks do to them."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """A session of the demonstration's arm with hidden effects, small enough for a search."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm

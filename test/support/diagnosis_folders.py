@@ -1,7 +1,5 @@
 """Folders as a diagnosis of the small arm leaves them, and what `apply` makes beside them."""
 
-from __future__ import annotations
-
 import functools
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Sessions of arms with something hidden, and the geometry fitted to them."""
 
-from __future__ import annotations
-
 import numpy as np
 from hidden_arm import white
 

@@ -4,8 +4,6 @@ What a sentence may speak of (errors, findings, structure, noise, network) is re
 values: sentences are about numbers, whatever these are.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 from pathlib import Path

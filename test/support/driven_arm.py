@@ -1,7 +1,5 @@
 """A `ServoArm` of two joints whose torque is on, on emulated servos with faults."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

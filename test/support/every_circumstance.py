@@ -1,7 +1,5 @@
 """Every field of the circumstances filled, and models with every form of every effect."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Iterator
 

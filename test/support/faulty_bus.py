@@ -1,7 +1,5 @@
 """An emulated bus with the faults of lines and adapters, and two servos of one id."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

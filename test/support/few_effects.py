@@ -1,7 +1,5 @@
 """A short catalogue, for diagnoses whose choice among all effects is not the question."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Linear sag and modes of a whole arm by an independent frame-element library (PyNite)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

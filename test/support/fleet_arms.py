@@ -1,7 +1,5 @@
 """Folders of arms of a fleet: their declaration, and rows with one wrong joint zero."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

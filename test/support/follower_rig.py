@@ -1,7 +1,5 @@
 """The trajectory follower of two servos with a fake clock, and what it has said."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

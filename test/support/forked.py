@@ -5,8 +5,6 @@ runs a module as ``python -m`` does, with a parent that waits for its end and te
 where nobody hears that any more.
 """
 
-from __future__ import annotations
-
 import atexit
 import faulthandler
 import gc

@@ -1,7 +1,5 @@
 """The small arm as it really stands, with hidden effects, measured as a session."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`kinematics` in the process of a test, which may break parts of it."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager

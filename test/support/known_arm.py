@@ -1,7 +1,5 @@
 """The arm of `read_arm` with known zeros: models that sightings give it, judged at fresh poses."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The small arm with a boom that bends and a payload, as data to be changed."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from small_arm import ARM

@@ -1,7 +1,5 @@
 """Node processes and a client for the node tests: start, ask, wait, and always clean up."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

@@ -1,7 +1,5 @@
 """Columns of a model's parameters by central differences, to compare with its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import numpy as np

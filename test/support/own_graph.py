@@ -1,7 +1,5 @@
 """A ROS graph of a test's own, also while others run."""
 
-from __future__ import annotations
-
 import fcntl
 import os
 import tempfile

@@ -1,7 +1,5 @@
 """What stands in the blocks of a page."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A palletiser whose joints were moved one at a time, and its rows as they were measured."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from typing import Any

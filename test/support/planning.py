@@ -1,7 +1,5 @@
 """A planner in front of `trajectory_compensator`, and a controller behind it, of a test's own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The driver's side of the graph, played by a test."""
 
-from __future__ import annotations
-
 from nodes_bench import Bench
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory

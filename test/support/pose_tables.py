@@ -1,7 +1,5 @@
 """Tables of poses under the names that an instrument gives their columns."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -1,7 +1,5 @@
 """A node of a test's own that publishes again and again, in a thread."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """An arm on a graph that goes where it is sent in no time: driver and cameras of a test's own."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

@@ -1,7 +1,5 @@
 """A quickly trained predictor that uses every kind of context."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A heavy four-joint arm whose motors are read: droop before the encoders, softness behind them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One sample diagnosis a verdict, and what the tests ask of its page."""
 
-from __future__ import annotations
-
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Made-up but consistent diagnoses, one a verdict, for the tests of the report."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Rows of an arm with play in its joints, which come from either side."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm

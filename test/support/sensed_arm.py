@@ -1,7 +1,5 @@
 """The small arm as it really stands, measured by sensors of every kind (poses, wires, rays)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

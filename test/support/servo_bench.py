@@ -1,7 +1,5 @@
 """An arm's folder whose servo file is wrong, the emulated bus as it really is, and a hand."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator

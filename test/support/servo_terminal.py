@@ -1,7 +1,5 @@
 """`longarm servo setup` on a terminal, and the flags that tell it the truth."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import pty

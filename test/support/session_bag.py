@@ -4,8 +4,6 @@ Per row: a command, the circumstances, one sighting, and a `session_row` with wh
 robot says. A run-up is a via point that the trajectory passes first.
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """How well the cameras of a folder see the marker: rendered images through the real detector."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass

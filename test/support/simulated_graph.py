@@ -1,7 +1,5 @@
 """The graph of a simulated arm without predictor and stereo, and a client on it."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager

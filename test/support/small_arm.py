@@ -1,7 +1,5 @@
 """A four-joint arm and sessions measured on it, for tests of files and checks (rigid, exact)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm

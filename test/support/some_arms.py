@@ -1,7 +1,5 @@
 """Arms that are not the demonstration's, as `longarm init` is asked to make them."""
 
-from __future__ import annotations
-
 PRINTED = "tube_a=20/17 material=petg"
 CARBON = "material=carbon servo_kg=0.3"
 

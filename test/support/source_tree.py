@@ -1,7 +1,5 @@
 """The modules of package, benchmarks and studies and what they import, without running them."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from dataclasses import dataclass

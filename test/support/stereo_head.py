@@ -1,7 +1,5 @@
 """A stereo head, a tag it sees, and pictures of the tag rendered where its pose is known."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

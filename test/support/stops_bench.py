@@ -1,7 +1,5 @@
 """The driver's stops without the rest of it: real services and files, emulated servos."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Targets as messages to `kinematics`, and as requests."""
 
-from __future__ import annotations
-
 import numpy as np
 from geometry_msgs.msg import PoseStamped
 

@@ -1,7 +1,5 @@
 """A telescope on a luffing joint, declared without any weight, and the true arm beside it."""
 
-from __future__ import annotations
-
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.effects.compliances import JointCompliance
 from longarm_comp.core.effects.link_deflection import LinkDeflection

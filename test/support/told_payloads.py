@@ -1,7 +1,5 @@
 """The demo arm with a joint that yields, calibrated at payloads of 0.1 to 0.5 kg."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

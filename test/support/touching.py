@@ -1,7 +1,5 @@
 """An arm with a ball at its hand that touches sockets and a table; its errors are hidden."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a user may do who is not root."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Robots as URDF: one of this file, every public one, and what another library says of them."""
 
-from __future__ import annotations
-
 import sys
 from functools import cache
 from pathlib import Path

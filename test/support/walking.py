@@ -1,7 +1,5 @@
 """How an arm of a test's own moves: fast, but never as nodes refuse to believe (`JointTrust`)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`kinematics` as its /diagnostics tell of it, and its service."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from builtin_interfaces.msg import Time

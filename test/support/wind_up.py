@@ -1,7 +1,5 @@
 """Joints that remember: springs that slip, whose sliders are dragged along the whole way."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar
 

@@ -1,7 +1,5 @@
 """Who gets at the page of `longarm view`: real HTTP requests and WebSocket handshakes."""
 
-from __future__ import annotations
-
 import http.client
 import re
 import socket

@@ -1,7 +1,5 @@
 """What the page of `longarm view` says of what it has heard."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

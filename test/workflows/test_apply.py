@@ -1,7 +1,5 @@
 """`longarm apply` and `longarm undo` on files: what is refused, what changes, what comes back."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Iterator
 from pathlib import Path

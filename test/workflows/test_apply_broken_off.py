@@ -1,7 +1,5 @@
 """`longarm apply` and `undo` killed, or on a full disk, at every step: nothing is lost."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import itertools

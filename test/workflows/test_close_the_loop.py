@@ -1,7 +1,5 @@
 """From file to file and round again: measure what splits a set, learn what has no name."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A stranger's crane, of which only the drawing is known: where its true tip goes as commanded."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from pathlib import Path
 

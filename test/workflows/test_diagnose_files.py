@@ -1,7 +1,5 @@
 """The folder of a diagnosis: one diagnosis at a time, and none is lost to data that are refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

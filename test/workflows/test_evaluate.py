@@ -1,7 +1,5 @@
 """`evaluate` judges a model by rows, and a network is used only where it helps."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`longarm fleet`: arms in folders or in one, the newest session, drift, what is the kind's."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import os

@@ -1,7 +1,5 @@
 """What a user has stays as it was until the new is whole: links, neighbours, halves of a pair."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """The comparison of two runs over the same targets, and when another round is expected to pay."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

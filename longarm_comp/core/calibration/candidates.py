@@ -1,7 +1,5 @@
 """The candidates of a diagnosis: each effect in each form, at single places and at all together."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 

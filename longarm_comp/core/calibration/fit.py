@@ -10,8 +10,6 @@ its start, so parameters that the rows do not determine stay there. Bounds are k
 Outliers get weight 0, decided anew at every step but the first, in which all rows count.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 

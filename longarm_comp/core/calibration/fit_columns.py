@@ -1,7 +1,5 @@
 """The design columns of candidates at a fit, and their evidence given the fit or a part of it."""
 
-from __future__ import annotations
-
 from collections.abc import Container, Sequence
 
 import numpy as np

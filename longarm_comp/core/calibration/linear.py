@@ -4,8 +4,6 @@ Rows are whitened (divided by the noise). Parameters are scaled by their prior s
 so that the prior is the unit normal distribution.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property

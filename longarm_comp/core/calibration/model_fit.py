@@ -1,7 +1,5 @@
 """A model fitted to the rows of a session: residual, design, covariance."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any

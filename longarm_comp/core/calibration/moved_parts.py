@@ -4,8 +4,6 @@ Each interval of rows is tried with a base or marker at another place.  The part
 that this explains is computed from the design, with all other parameters free (no fit is repeated).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import combinations

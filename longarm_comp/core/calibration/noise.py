@@ -1,7 +1,5 @@
 """Estimates the noise of the measurements, from repeats and from a fit with all candidates."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -1,7 +1,5 @@
 """Places the bases, markers and sensors of a model before anything is fitted."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

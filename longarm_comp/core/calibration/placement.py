@@ -5,8 +5,6 @@ it with all other parameters, with priors so wide that they have no influence
 (`Parameter.unknown`).
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Refuses a finished fit that is not plausible, so that its model is never written."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 

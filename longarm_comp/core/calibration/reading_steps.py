@@ -4,8 +4,6 @@ Their remaining errors are rounding only.  At regularly spaced poses such errors
 look like a function of the joint.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.calibration.model_fit import ModelFit

@@ -1,7 +1,5 @@
 """One session during the Gauss-Newton steps of a fit: its residual, design, weights and noise."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 

@@ -25,8 +25,6 @@ this looks like an error of this joint.  So the covariance is that of the fitted
 with the compliances and the drift that were not fitted.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

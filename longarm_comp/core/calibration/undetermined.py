@@ -4,8 +4,6 @@ If the tip only touched unknown points, an arm of twice the size would fit as we
 then that of the drawing.  A known distance between two points, or a slide's travel, determines it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """One target as a move: finds the joints together with the sides from which they arrive."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -5,8 +5,6 @@ effect of a heavier load follows from the physics alone, so `sigma` grows outsid
 range.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

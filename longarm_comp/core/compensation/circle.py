@@ -1,7 +1,5 @@
 """Circular joints: removes jumps of a whole turn from a plan, as where an angle passes pi."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

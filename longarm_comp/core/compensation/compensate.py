@@ -7,8 +7,6 @@ leaves.  The paper corrects once (`single_pass`). Here the pass is repeated unti
 at the new joints is the one that was corrected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial

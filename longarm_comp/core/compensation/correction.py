@@ -1,7 +1,5 @@
 """The correction of a command, physics and learned error together, and its permitted size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

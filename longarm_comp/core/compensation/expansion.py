@@ -3,8 +3,6 @@
 With the expansion one request to the predictor is enough for all steps of a solution.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ steps, so joints do not jump where the plan does not.  The history of the joints
 error are computed at the joints found, and these are solved again, until nothing changes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property

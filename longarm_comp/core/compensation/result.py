@@ -1,7 +1,5 @@
 """The input and output of a compensation: options, predictor, status, result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

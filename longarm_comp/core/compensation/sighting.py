@@ -5,8 +5,6 @@ different ways.  An error that all sightings share tells no more in a hundred of
 so whoever learns from sightings, or tests them, must follow it as a state.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ as commanded (`core/data/commanded.py`).  If the frame of a target is not stated
 agree to within a usual error of setup everywhere in reach; else the target is refused.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
 

@@ -1,7 +1,5 @@
 """Circumstances that a model needs and a command does not know: what they add to its error."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import compress
 from typing import Any

@@ -5,8 +5,6 @@ or friction.  The rows cannot distinguish them from an error of its zero.  A com
 joint, or arrives from the other side, feels them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ distance to the explanation's tip.  Explanations differ by the names, places and
 effects, by their absence, and by the presence of doubtful ones.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

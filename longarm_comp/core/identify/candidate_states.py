@@ -1,7 +1,5 @@
 """The state of every candidate of a diagnosis, with the reason, and its smallest visible size."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The diagnosis of a session: finds the effects that the model lacks, and proves them."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """The result of a diagnosis: what was found and how sure it is, or "I don't know"."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ A `Finding` is made from found effects. It is written to report.json, and the pa
 line print it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

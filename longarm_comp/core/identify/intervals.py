@@ -4,8 +4,6 @@ The standard deviation is the larger of two: by the Laplace approximation, and b
 successive rows.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ effects at all places are like the infinitesimal part beside a sum of single eff
 must explain more than they can.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections import Counter

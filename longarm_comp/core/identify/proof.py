@@ -4,8 +4,6 @@ For each fold, the effects are chosen anew (`Resampling.explain_sample`) and fit
 other rows.  The offers, their forms and the noise are those of all rows.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence

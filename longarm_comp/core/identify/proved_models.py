@@ -1,7 +1,5 @@
 """The models that a diagnosis may write: fits them, proves them on held-out rows, chooses one."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

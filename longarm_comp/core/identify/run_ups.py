@@ -4,8 +4,6 @@ One length holds for the whole session. It is no parameter of a fit, so it is fo
 search: the length of highest evidence, with all other effects of the library in the model.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Iterable, Sequence

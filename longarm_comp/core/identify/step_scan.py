@@ -8,8 +8,6 @@ are left out.  The residual may still hold other effects, so a step must explain
 with random signs of the rows.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.calibration.candidates import Candidate

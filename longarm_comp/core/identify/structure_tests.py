@@ -1,7 +1,5 @@
 """Further tests for structure beside the F test: held-out rows, rows left out, scatter."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """A bus of servos: reads states, sends goals, switches torque. Each failure has its error class."""
 
-from __future__ import annotations
-
 import operator
 import time
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence

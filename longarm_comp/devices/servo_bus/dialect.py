@@ -7,8 +7,6 @@ status byte of the others.  scservo_sdk never empties the input, so that it take
 the next one.  The tests use the libraries as an independent reference for every byte.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ initial value 0, and is not reflected.  Source: ROBOTIS e-Manual, "DYNAMIXEL Pro
 control tables of the X series.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 

@@ -4,8 +4,6 @@ Signed values have a sign bit and a magnitude, low byte first.  Source: Feetech,
 memory table" and "Communication protocol manual".
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 

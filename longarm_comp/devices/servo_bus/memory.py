@@ -1,7 +1,5 @@
 """The registers that a servo keeps without power and that decide what a command means to it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The serial port of a servo bus: sends and receives bytes; raises BusUnplugged if it fails."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import grp

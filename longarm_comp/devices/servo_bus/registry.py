@@ -1,7 +1,5 @@
 """The known protocols and servo models, and the search for servos on a serial line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass, field

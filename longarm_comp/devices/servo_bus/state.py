@@ -3,8 +3,6 @@
 The ``facts`` of an error hold the data needed to act on it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntFlag

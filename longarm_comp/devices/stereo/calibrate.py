@@ -3,8 +3,6 @@
 `hand_eye` finds the rig's pose in the base frame from predicted and seen tips.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Camera calibrations as files, in the format of ROS camera drivers (``camera_info_url``)."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

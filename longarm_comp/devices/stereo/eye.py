@@ -1,7 +1,5 @@
 """Measures the tip in the base frame from a stereo pair, or refuses the pair with a reason."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import cv2

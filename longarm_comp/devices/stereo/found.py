@@ -1,7 +1,5 @@
 """Finds a target's corners in one image, or refuses the image with a reason."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

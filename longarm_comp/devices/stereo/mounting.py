@@ -1,7 +1,5 @@
 """Refuses faults that more views do not cure: a turned camera, or pictures paired wrongly."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import cv2

@@ -1,7 +1,5 @@
 """Pairs left and right images by their stamps. Memory is bounded and drops are counted."""
 
-from __future__ import annotations
-
 from collections import Counter, deque
 from dataclasses import dataclass, field
 from enum import Enum

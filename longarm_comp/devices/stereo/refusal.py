@@ -1,7 +1,5 @@
 """Reasons for which a stereo pair gives no measurement."""
 
-from __future__ import annotations
-
 import enum
 
 from longarm_comp.core.errors import JobError

@@ -1,7 +1,5 @@
 """Refines corners to a hundredth of a pixel: edges of tags, saddle points of a chessboard."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray

@@ -5,8 +5,6 @@ The start is the homogeneous linear triangulation of Hartley & Zisserman, *Multi
 standard"), through the lens distortion, and its normal matrix gives the covariance.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import cv2

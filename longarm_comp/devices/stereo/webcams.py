@@ -1,7 +1,5 @@
 """Lists the webcams of this computer (Linux), and takes pictures with them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

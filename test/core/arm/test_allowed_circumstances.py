@@ -1,7 +1,5 @@
 """Each circumstance has one range, from arm.yaml: what lies beyond it is refused everywhere."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The declared arm: every feature against numbers by hand, every fault in one clear line."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math

@@ -1,7 +1,5 @@
 """One record of circumstances: every field reaches every engine, every file and every command."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from functools import partial

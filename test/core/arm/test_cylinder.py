@@ -1,7 +1,5 @@
 """A hydraulic boom: a cylinder turns joint 2 through two pins."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The two files of the demonstration's arm: one declares the steps of its servos."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Frames told over time: interpolated, carried along the tree, refused in words."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

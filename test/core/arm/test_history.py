@@ -1,7 +1,5 @@
 """How joints came to where they stand: legs, what they leave known, run-ups in files."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from contextlib import nullcontext

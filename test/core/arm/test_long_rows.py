@@ -1,7 +1,5 @@
 """DH rows of nearly parallel axes, hundreds of metres long: the same promise for the same arm."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

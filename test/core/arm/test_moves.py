@@ -1,7 +1,5 @@
 """Commands are moves: the side of arrival is chosen, a run-up makes it so, limits hold."""
 
-from __future__ import annotations
-
 import csv
 import itertools
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Every URDF of `example-robot-data`: read as pinocchio does, or refused for a stated reason."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rigid motions: axioms, and SciPy as the second opinion."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

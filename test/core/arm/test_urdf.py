@@ -1,7 +1,5 @@
 """Arms from URDF against pinocchio: tip poses, and the torques that masses and COMs make."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Calibrated arms as URDF: pinocchio finds the tip where the model's rigid part has it."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The recursive posterior of the model at work, on the small arm with play in one joint."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path

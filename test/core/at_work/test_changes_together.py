@@ -1,7 +1,5 @@
 """The zeros of several joints change at once, as where an arm is referenced anew."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hidden_arm import SIGMA

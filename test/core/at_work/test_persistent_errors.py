@@ -1,7 +1,5 @@
 """Errors that the promise holds and no row showed: expected of sightings, and not learned."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the model at work promises of an arm whose parts yield, and whose fit does not hold them."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

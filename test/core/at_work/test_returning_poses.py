@@ -1,7 +1,5 @@
 """What no parameter explains at poses that return: followed there, and not learned elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 from at_work_arm import Work, fitted
 from hidden_arm import SIGMA

@@ -1,7 +1,5 @@
 """No probability is lost: where onsets merge, where a posterior splits, where branches merge."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What no parameter explains goes on away from the rows, and the promise knows it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

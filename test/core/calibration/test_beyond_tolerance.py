@@ -1,7 +1,5 @@
 """A part beyond its drawing's tolerance: calibration widens its prior, no effect stands for it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

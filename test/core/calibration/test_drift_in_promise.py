@@ -1,7 +1,5 @@
 """What measures may have drifted, also where no drift was found: the promise knows it."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The robust joint fit: what was planted is recovered, and the stated uncertainty is true."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """Inclinometers: declared in arm.yaml, searched where their row is not, misnamed ones refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The errors at rows that are left out of a fit, and how wide a promise they ask for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

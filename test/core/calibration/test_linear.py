@@ -1,7 +1,5 @@
 """The linear algebra of the fit: noise that is correlated, bounds, evidence."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a sensor of any kind measures calibrates the arm: planted arms, judged at the true tip."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The noise as a rich fit leaves it: no axis may be fitted exactly."""
 
-from __future__ import annotations
-
 import dataclasses
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Placement is solved: bases, tips and markers anywhere give what a declared placement gives."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows that a fit sets aside are part of the verdict, and a poor start loses no good row."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

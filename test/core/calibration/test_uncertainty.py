@@ -1,7 +1,5 @@
 """How good a model says that it is, against rows and tips that it has not seen."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The most probable values of a normal distribution within bounds."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

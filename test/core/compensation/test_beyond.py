@@ -1,7 +1,5 @@
 """Commands at a payload or warmth that no row of the session had: said, and in the promise."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

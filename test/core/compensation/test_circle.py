@@ -1,7 +1,5 @@
 """Planned paths on a circle: a planner that wraps angles into -pi..pi turns no arm back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from cobot import ALONG, TIMES, arm, follow, through_pi, wrapped

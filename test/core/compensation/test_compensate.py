@@ -1,7 +1,5 @@
 """The paper's method against a plant whose error is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

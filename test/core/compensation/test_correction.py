@@ -1,7 +1,5 @@
 """How far a command moves the tip away from its target, and how far it may."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_arm import ARM, AWAY

@@ -1,7 +1,5 @@
 """Joints that turn on and on: no limit of theirs ends a path, a search or a reading."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

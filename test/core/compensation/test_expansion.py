@@ -1,7 +1,5 @@
 """One answer that holds nearby: slope, reach, and the same commands as asking every time."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from small_arm import ARM

@@ -1,7 +1,5 @@
 """Joints whose friction remembers by another law than any effect's: commands keep their promise."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

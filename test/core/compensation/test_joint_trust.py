@@ -1,7 +1,5 @@
 """Readings of the joints that may not be believed, and messages that a full queue has lost."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from walking import Walk

@@ -1,7 +1,5 @@
 """The sequential test: its promise on false alarms, and how soon it sees a drift."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """What is known right now becomes a context: freshness, sides, and the pose at rest."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import partial
 

@@ -4,8 +4,6 @@ The truth turns the tip by joint zeros, a tilted row and compliant joints.  The 
 imports nothing of the truth.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

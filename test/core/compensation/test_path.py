@@ -1,7 +1,5 @@
 """Planned paths, compensated: the tip follows, joints do not jump, limits hold."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

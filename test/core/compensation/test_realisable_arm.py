@@ -1,7 +1,5 @@
 """Realisable joints for poses of the demonstration's deflected arm; its model in machine code."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Compensation on servos with steps: commands that they can stand at, and the tip on its target."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Errors that repeat: the drift monitor takes them for the model's, as promised, and no change."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The error of a sighting: what a command promises there, and the noise of the sensor."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

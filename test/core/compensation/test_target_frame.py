@@ -1,7 +1,5 @@
 """The frame of targets: the arm's base or that of the measurements, said or refused."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 from pathlib import Path

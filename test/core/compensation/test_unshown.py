@@ -3,8 +3,6 @@
 The true arm is the simulated one, which computes by other physics than the model.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The payload by what servos and a wrist sensor feel of it: registers, estimate, refusal."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

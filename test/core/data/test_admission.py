@@ -1,7 +1,5 @@
 """Admission: what is refused and with which words, what is only noted, what passes untouched."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Rows that do not belong to the arm are refused, with what its user probably got wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Errors as a command would have them: what a model knows and a command does not is left out."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Sessions: directions from the order, subsets, context, splits."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

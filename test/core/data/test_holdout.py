@@ -1,7 +1,5 @@
 """The proof: every row is held out once, and what fails there is not written."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

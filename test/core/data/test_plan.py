@@ -1,7 +1,5 @@
 """Plans: the paper's grid on its arm, other arms, space filling, files."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

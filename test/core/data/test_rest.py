@@ -1,7 +1,5 @@
 """When an arm is at rest, so that a sighting is of its command."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.arm.history import History

@@ -1,7 +1,5 @@
 """A session's clock and order end with it: nothing that commands depends on a clock of another."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The whole catalogue against central differences: Eq. (5) is every parameter's column."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from places import DEMO_ARM

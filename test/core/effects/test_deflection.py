@@ -1,7 +1,5 @@
 """Sag of beams and of whole arms: textbooks, finite elements, the elastica, the simulated arm."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Effects without a name as data: every engine, model files, domain, what is refused."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What an effect says of itself to a mechanic: title, action, reading; values in people's units."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """`longarm effects`: every effect, with every parameter."""
 
-from __future__ import annotations
-
 import json
 
 from click.testing import CliRunner

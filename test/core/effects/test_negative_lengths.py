@@ -1,7 +1,5 @@
 """A beam along the negative direction of its axis bends as the same beam along the positive one."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from longarm_comp.core.arm.arm import Arm

@@ -1,7 +1,5 @@
 """Effects of others: a file, a package, a program; searched, saved, loaded and used like ours."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

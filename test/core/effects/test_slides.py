@@ -1,7 +1,5 @@
 """Slides without a declared guide: a column that bends, leans with its extension, or rocks."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Joints that are measured before they have arrived: the effect, its name, its commands."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 

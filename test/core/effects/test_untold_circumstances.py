@@ -1,7 +1,5 @@
 """What needs no recorded column goes on without the effects that one drives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What else may be true of the rows: a command's promise holds whichever explanation is right."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 

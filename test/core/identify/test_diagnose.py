@@ -1,7 +1,5 @@
 """``longarm diagnose``: files in, files out, the same bytes, and figures that can be recomputed."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import json

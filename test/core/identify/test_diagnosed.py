@@ -1,7 +1,5 @@
 """What a diagnosis names, and what it does not: sizes, bounds, few positions, thresholds."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

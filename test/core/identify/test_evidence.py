@@ -1,7 +1,5 @@
 """The evidence of one candidate: against plain integrals, and the loads that its prior rests on."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import weakref

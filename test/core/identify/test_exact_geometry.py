@@ -1,7 +1,5 @@
 """Functions where the geometry is exact: the model has no free parameter."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

@@ -1,7 +1,5 @@
 """What explains a session: a planted effect gets its name, its place and its value, no more."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar

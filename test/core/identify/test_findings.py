@@ -1,7 +1,5 @@
 """Findings of single effects: one a name, with the set of what the data cannot tell from it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from types import SimpleNamespace

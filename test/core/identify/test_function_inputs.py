@@ -1,7 +1,5 @@
 """What functions may depend on, their shapes, and the poses that would tell more."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from discover_rows import DEMO, calibrated, measured

@@ -1,7 +1,5 @@
 """Functions without a name: what no library holds is found at its place, with its size and form."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """What poses that no fit has seen say: more than noise, or what a fit of few rows may err by."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

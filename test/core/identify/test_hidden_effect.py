@@ -1,7 +1,5 @@
 """Tests that catch a fake diagnosis: truth from the independent simulator, small and seeded."""
 
-from __future__ import annotations
-
 import ast
 import dataclasses
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """95 % intervals: as wide as the truth asks, within the bounds, of what was found."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

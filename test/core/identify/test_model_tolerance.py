@@ -1,7 +1,5 @@
 """What every arm gives way by: in the model where the rows ask for it, and named nowhere."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 

@@ -1,7 +1,5 @@
 """What is on offer to the posterior: priors of names, functions, forms; who is alike."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Pairs of effects that share what they do."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The posterior over explanations: its sums against plain integrals, and planted effects."""
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 import math

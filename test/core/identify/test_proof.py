@@ -1,7 +1,5 @@
 """The proof: what a network promises is taken from the errors of the model that it stands on."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

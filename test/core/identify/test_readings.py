@@ -1,7 +1,5 @@
 """Joint readings: what acts before the encoders, and what a diagnosis makes of them."""
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cache
 from pathlib import Path

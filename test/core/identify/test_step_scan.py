@@ -1,7 +1,5 @@
 """Servo steps of a size that nobody declared: found, and paid for."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

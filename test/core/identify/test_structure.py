@@ -1,7 +1,5 @@
 """What is left in the residual: structure that moves one axis only does not hide among three."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

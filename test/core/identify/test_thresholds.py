@@ -1,7 +1,5 @@
 """Thresholds by all rows: those on the wrong side are no outliers."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

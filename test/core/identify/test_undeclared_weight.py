@@ -1,7 +1,5 @@
 """An arm that declares no weight: the rows tell where its weight is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from palletiser import COUPLED, PALLETISER, WAYS, soft_rows, truth

@@ -1,7 +1,5 @@
 """What a diagnosis writes: never worse as commanded than calibration, and all of it in the file."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import math

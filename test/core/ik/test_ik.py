@@ -1,7 +1,5 @@
 """Inverse kinematics: the paper's grid, limits, locks, tracking, failures, engines."""
 
-from __future__ import annotations
-
 import copy
 import itertools
 import pickle

@@ -1,7 +1,5 @@
 """Nearest points of a lattice: against every combination."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Traced programs give the numbers of the model they were traced from."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 import math

@@ -1,7 +1,5 @@
 """Rows to learn from, and a predictor that is trained in a moment."""
 
-from __future__ import annotations
-
 import pytest
 from quick_predictor import quick_predictor, rows
 

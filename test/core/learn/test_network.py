@@ -1,7 +1,5 @@
 """The network against central differences, its fitness, its training on known functions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Networks of others: a file or a package; trained, judged, saved, served; and refused."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import subprocess

@@ -1,7 +1,5 @@
 """The predictor: accuracy and honesty of sigma, refusal, files, and the measured twin."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 

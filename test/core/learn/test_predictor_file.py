@@ -1,7 +1,5 @@
 """Files of predictors: what is saved comes back, what is damaged is refused by name."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

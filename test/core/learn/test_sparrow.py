@@ -1,7 +1,5 @@
 """Sparrow search: the moves one by one, and the whole search."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

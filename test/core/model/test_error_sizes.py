@@ -1,7 +1,5 @@
 """Sizes of normal errors, and how their covariance is written."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """`model.yaml`: what is written comes back to the last bit; what is wrong is one clear line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Moves for a driver whose limits nobody told: no part of the arm goes faster than it should."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline

@@ -1,7 +1,5 @@
 """Optimal poses: the algebra against brute force, what may be driven, what rows bring, commands."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Poses that split a set: how much they are expected to tell."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plans of touches: which socket, from where."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

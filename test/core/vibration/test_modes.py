@@ -1,7 +1,5 @@
 """`longarm modes`, and the rest that it gives to measurements."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

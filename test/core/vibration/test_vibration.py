@@ -1,7 +1,5 @@
 """How the arm rings: modes beside finite elements and by hand, rings, shapers, and the true arm."""
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import replace
 from pathlib import Path

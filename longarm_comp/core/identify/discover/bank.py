@@ -6,8 +6,6 @@ therefore matrix products, and some hundred thousand candidates are tried in a s
 of the rows.  The best of every kind are then judged on all rows.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Collection, Iterator, Sequence

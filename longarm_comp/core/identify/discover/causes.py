@@ -1,7 +1,5 @@
 """Causes without a name: the discovered functions, described in words and numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The functions that are tried: shapes of one input and products of two, in groups."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The quantities that a discovered function may depend on, read at the rows of a session."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass

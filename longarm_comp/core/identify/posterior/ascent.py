@@ -1,7 +1,5 @@
 """The best explanation by single effects: coordinate ascent, with restarts."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -4,8 +4,6 @@ The search (`search.py`) finds an explanation.  Each of its effects is then comp
 and with its absence.  Finally the probabilities are averaged over samples of the rows.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The explained session: the model with the effects that were found, fitted."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -6,8 +6,6 @@ the form with which most rows agree is sought first (`measure_agreement`). In th
 outliers count too, each like a row at the limit of an outlier.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import itertools
 from collections.abc import Callable, Sequence

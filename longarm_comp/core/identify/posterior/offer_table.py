@@ -1,7 +1,5 @@
 """A table of offers, which are all scored at once on the residual of the other effects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import NamedTuple
 

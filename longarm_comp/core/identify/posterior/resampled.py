@@ -7,8 +7,6 @@ blocks of rows, drawn with replacement, it tells what another session of this si
 arXiv 2007.14845).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

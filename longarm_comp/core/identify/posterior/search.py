@@ -7,8 +7,6 @@ again, and the scales of forms move to where the evidence is highest.  The searc
 explanation is better.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -11,8 +11,6 @@ average. This is done for one effect after the other until none changes.  Offers
 data equally well share the probability of q_l: they are the credible set.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Hashable, Sequence
 from functools import cached_property
