@@ -35,6 +35,9 @@ from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.sessions.message_buffer import TYPES, MessageBuffer, SessionRow, between
 from longarm_comp.sessions.message_types import CLOCKS_APART, message_types
 
+NO_LOAD = "nobody had told the payload yet"
+"""The reason why a row before the first message about the payload is blank."""
+
 
 class _Row(NamedTuple):
     number: int
@@ -79,6 +82,17 @@ class Rows:
             self._finish_command(commands[1][0])
         if everything and commands:
             self._finish_command(math.inf)
+        if everything:
+            self._blank_unknown_loads()
+
+    def _blank_unknown_loads(self) -> None:
+        told = self._buffer.columns.get("payload_kg")
+        begun_s = -math.inf if told is None else told.begun_s
+        for k, row in enumerate(self._rows):
+            if row.sighting.t < begun_s and "payload_kg" not in row.given.columns:
+                given = row.given.model_copy(update={"readings": {}})
+                self._rows[k] = row._replace(sighting=blank_sighting(row.sighting.t), given=given)
+                self._lost.setdefault(row.number, NO_LOAD)
 
     def _finish_command(self, end: float) -> None:
         """Make the row of the oldest command; the next command came at `end` (s)."""

@@ -54,10 +54,10 @@ class SessionRow(BaseModel):
 
 
 class _Steps:
-    """A quantity that keeps its value until the next message."""
+    """A quantity that keeps its value until the next message; the first is of time `begun_s`."""
 
-    def __init__(self, first: float) -> None:
-        self.first = first
+    def __init__(self, begun_s: float, first: float) -> None:
+        self.begun_s, self.first = begun_s, first
         self._times, self._values = array("d"), array("d")
 
     def set(self, t: float, value: float) -> None:
@@ -219,7 +219,7 @@ class MessageBuffer:
     def _set_column(self, name: str, t: float, value: float) -> None:
         if not math.isfinite(value):
             raise self._error_at(name, t, value, "a finite number")
-        self.columns.setdefault(name, _Steps(value)).set(t, value)
+        self.columns.setdefault(name, _Steps(t, value)).set(t, value)
 
     def _error_at(self, what: str, t: float, value: object, allowed: str) -> InputError:
         return InputError(self.where, f"{what} at {t:.3f} s", value, allowed)

@@ -15,7 +15,7 @@ from small_arm import ARM, measured
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.data.rest import Sighting, mean_at_rest
 from longarm_comp.core.data.session import Session
-from longarm_comp.sessions.bag import bag_info, read_bag
+from longarm_comp.sessions.bag import NO_LOAD, bag_info, read_bag
 from longarm_comp.sessions.csv import read_csv, write_csv
 from longarm_comp.sessions.message_types import message_types
 from longarm_comp.sessions.read import read_session
@@ -263,12 +263,24 @@ def test_context_holds_until_the_next_message(tmp_path: Path) -> None:
                 put("temperature", kind, k, header=header(), temperature=temperature, variance=0.0)
             command(put, k + 0.1, [0.1 * k, 0.5, 0.05, 0.2])
             sighting(put, k + 0.5, [0.4, 0.1 * k, 0.3])
-        put("payload", "std_msgs/msg/Float64", 1.2, data=0.4)
+        put("payload", "std_msgs/msg/Float64", 0.2, data=0.4)
     session = read_bag(tmp_path / "bag", ARM)
     assert session.columns["temperature_c"].tolist() == [20.0, 20.0, 22.5]
     assert session.columns["payload_kg"].tolist() == [0.4, 0.4, 0.4]
     assert session.t_s is not None
     assert np.allclose(session.t_s, [0.5, 1.5, 2.5])
+
+
+def test_rows_before_the_first_word_on_the_payload_are_blank_and_say_why(tmp_path: Path) -> None:
+    with robot(tmp_path / "bag") as put:
+        for k in range(4):
+            command(put, k + 0.1, [0.1 * k, 0.5, 0.05, 0.2])
+            sighting(put, k + 0.5, [0.4, 0.1 * k, 0.3])
+        put("payload", "std_msgs/msg/Float64", 1.8, data=1.5)  # a gripper's node starts
+    session = read_bag(tmp_path / "bag", ARM)
+    assert session.has_position.tolist() == [False, False, True, True]
+    assert session.lost == {0: NO_LOAD, 1: NO_LOAD}
+    assert session.columns["payload_kg"].tolist() == [1.5] * 4
 
 
 def test_unknown_types_and_topics_are_passed_over(tmp_path: Path) -> None:
