@@ -11,8 +11,9 @@ _TURNING = 0.5
 """Highest speed of a turning joint, rad/s: a tool that turns about the tip has a size too."""
 _PEAK = 1.5
 """Ratio of the highest to the mean speed of a cubic from rest to rest."""
-_PIECES = 64
-"""Pieces into which a motion is divided to measure its length."""
+_TIMES = np.linspace(0.0, 1.0, 64 + 1)
+_CUBIC = _TIMES**2 * (3.0 - 2.0 * _TIMES)
+"""Shares of a way that a cubic from rest to rest has gone at these shares of its time."""
 
 
 def times_at_reduced_speed(
@@ -40,11 +41,12 @@ def times_at_reduced_speed(
     ends = np.concatenate([start[None], points])
     turns = np.abs(np.diff(ends, axis=0))
     moved = (turns @ most_motion(model).T).max(axis=1)  # it is enough for short moves
-    if (_PEAK * moved > least_s * speed).any():
-        ways = np.linspace(ends[:-1], ends[1:], _PIECES + 1, axis=1)
+    needed = _PEAK * moved / speed
+    if (needed > least_s).any():
+        ways = ends[:-1, None] + _CUBIC[:, None] * np.diff(ends, axis=0)[:, None]
         line = outline(model.rigid, ways.reshape(-1, len(start))).reshape(*ways.shape[:2], -1, 3)
-        steps = np.linalg.norm(np.diff(line, axis=1), axis=-1)
-        moved = _PIECES * steps.max(axis=(1, 2), initial=0.0)
-        moved += (turns @ most_sagging(model).T).max(axis=1)
+        steps = np.linalg.norm(np.diff(line, axis=1), axis=-1).max(axis=2)
+        steps += np.diff(_CUBIC) * (turns @ most_sagging(model).T).max(axis=1)[:, None]
+        needed = steps.max(axis=1) / (_TIMES[1] * speed)
     turned = np.where(model.arm.slides, 0.0, turns).max(axis=1)
-    return np.cumsum(np.maximum(least_s, _PEAK * np.maximum(moved / speed, turned / _TURNING)))
+    return np.cumsum(np.maximum(least_s, np.maximum(needed, _PEAK * turned / _TURNING)))
