@@ -163,7 +163,7 @@ def test_a_servo_that_is_not_where_it_is_led_is_let_go(
 
 
 def test_a_nudge_stays_within_the_servos_limits_or_names_them(
-    shell: Shell, emulator: ServoEmulator
+    shell: Shell, emulator: ServoEmulator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     mine = direct(shell, MODELS[emulator.protocol])
     limit(emulator, 2, 1500, 2050)
@@ -183,6 +183,7 @@ def test_a_nudge_stays_within_the_servos_limits_or_names_them(
     with emulator.motor(2) as motor:
         motor.blocked = True
     said = "pwm_limit = 0" if emulator.protocol == "dynamixel" else "phase = 12"
+    monkeypatch.setattr(servo_setup, "_PATIENCE_S", 0.5)
     with (
         pytest.raises(JobError, match=f"joint2 does not move: servo 2, with .*{said}"),
         bench(emulator, config) as made,
@@ -213,7 +214,7 @@ def test_a_busy_computer_leads_a_servo_all_the_way(
 
 @pytest.mark.parametrize("beside", [22, 26])
 def test_a_joint_that_does_not_come_back_is_told(
-    shell: Shell, emulator: ServoEmulator, beside: int
+    shell: Shell, emulator: ServoEmulator, beside: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Two degrees of the horn may be left, for a gear that gives way."""
     config = configured(direct(shell, MODELS[emulator.protocol]), emulator)
@@ -226,6 +227,7 @@ def test_a_joint_that_does_not_come_back_is_told(
                 assert grew == 1
                 motor.turn(2048 + beside - motor.position)
                 motor.blocked = True
+                monkeypatch.setattr(servo_setup, "_PATIENCE_S", 0.5)
         with emulator.motor(2) as motor:
             motor.blocked = False
     assert not any(emulator.torques_on().values())

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from cli_shell import Shell
 from driver_rig import Rig
-from nodes_bench import bench
+from nodes_bench import PATIENCE_S, bench
 from own_graph import own_graph
 from quick_arm import quick_arm
 from small_arm import ARM
@@ -31,7 +31,7 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch
 from longarm_comp.jobs import attend
 from longarm_comp.jobs.client import ArmClient, DriverStopped, Pace
-from longarm_comp.jobs.graph_client import Interrupted
+from longarm_comp.jobs.graph_client import GraphClient, Interrupted
 from longarm_comp.jobs.targets import TargetRunner
 from longarm_comp.jobs.touch import release_servos
 from longarm_comp.nodes import interfaces as graph
@@ -317,18 +317,18 @@ def test_a_driver_that_is_heard_of_last_is_on_the_graph(tmp_path: Path, shell: S
     assert "kinematics" in found["nodes"] and "no target is followed" not in str(found)
 
 
-@pytest.mark.usefixtures("soon")
 def test_a_node_that_follows_paths_and_does_not_report_is_told_of(
-    tmp_path: Path, shell: Shell, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It reports once a minute, so that it is as silent as one that hangs."""
-    monkeypatch.setattr("longarm_comp.jobs.attend.FOUND_S", 20.0)
+    monkeypatch.setattr(attend, "FOUND_S", 1.0)
     arm = tmp_path / "arm.yaml"
     arm.write_text(yaml.safe_dump(ARM.model_dump(mode="json", exclude_none=True)))
-    with own_graph(tmp_path), bench() as stage:
+    with own_graph(tmp_path), bench() as stage, GraphClient() as client:
         stage.start("trajectory_compensator", {"arm": arm, "diagnostics_period_s": 60.0})
-        stage.spin(lambda: "trajectory_compensator" in stage.node.get_node_names())
-        found = shell.json("status")
+        named = client.node.get_node_names
+        client.until(lambda: "trajectory_compensator" in named(), PATIENCE_S, "the node")
+        found = attend.Attendant(client).standing()
     told = {t["node"]: t["message"] for t in found["troubles"]}
     assert "does not report" in told["trajectory_compensator"]
     assert "not on the graph" in told["kinematics"]

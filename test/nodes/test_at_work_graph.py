@@ -182,7 +182,10 @@ def test_play_that_grows_at_work_is_named_and_compensated_without_a_stop(
         for k in range(14):  # every second sighting shows another marker
             arm.wrong = 0.03 * (k % 2)
             work.serve()
-        assert "of the last sightings seem wrong" in work.said()[0]
+            if "of the last sightings seem wrong" in work.said()[0]:
+                break
+        else:
+            raise AssertionError(work.said())
 
         kept = tmp_path / "model.at_work.json"
 

@@ -45,8 +45,7 @@ def test_a_stop_frees_every_servo_that_hears_though_a_new_driver_finds_one_silen
 ) -> None:
     """The driver died and cannot be configured; a person is caught."""
     rig = fresh
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     rig.emulator.faults.silent.add(2)
     rig.start()
     rig.is_in(DriverState.UNCONFIGURED)
@@ -62,8 +61,7 @@ def test_a_stop_frees_every_servo_that_hears_though_a_new_driver_finds_one_silen
 
     rig.emulator.unplug()  # the stop reaches no servo, and the driver dies
     assert not rig.call(graph.ESTOP, SetBool.Request(data=True)).success
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     rig.emulator.faults.silent.add(2)
     rig.emulator.start()
     assert rig.driving()
@@ -77,8 +75,7 @@ def test_where_no_stop_can_be_kept_the_arm_is_held_and_it_is_said(
 ) -> None:
     rig = fresh
     assert rig.driving()
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     state = tmp_path / "state"
     state.write_text("a file where the folder should be")
     rig.start(state=state)
@@ -93,8 +90,7 @@ def test_where_no_stop_can_be_kept_the_arm_is_held_and_it_is_said(
     rig.is_in(DriverState.ESTOP)
     state.unlink()
     rig.stage.spin(lambda: "ends with" not in rig.said[-1].message)  # written as soon as it can be
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     rig.start(state=state)
     rig.is_in(DriverState.ESTOP)
     assert rig.call(graph.RESET, Trigger.Request()).success

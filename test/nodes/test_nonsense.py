@@ -88,8 +88,9 @@ def test_of_sixteen_targets_beside_rival_joints_none_moves_the_arm(
     stage: Bench, arm: Arm, moving: Moving, rate_hz: float
 ) -> None:
     """At zeros, as a forgotten joint_state_publisher tells them; at the arm's own joints too."""
-    for q in (np.zeros(arm.n), arm.mid):
-        rival = moving.tells(1.0 / rate_hz, q)
+    told = arm.mid.copy()
+    rival = moving.tells(1.0 / rate_hz, told)
+    for told[:] in (arm.mid, np.zeros(arm.n)):
         moving.until("two publishers tell joint_states", STATUS.NOT_READY)
         moving.sent.clear()
         for _ in range(16):
@@ -99,10 +100,10 @@ def test_of_sixteen_targets_beside_rival_joints_none_moves_the_arm(
             assert answer.status == STATUS.NOT_READY, answer.message
             assert "two publishers tell joint_states in turn: end one of them" in answer.message
         assert not moving.sent
-        moving.says("targets", "two publishers tell joint_states", level=WARN)
-        stage.node.destroy_timer(rival)
-        moving.until("", STATUS.SUCCESS)
-        stage.spin(lambda: moving.sent)
+    moving.says("targets", "two publishers tell joint_states", level=WARN)
+    stage.node.destroy_timer(rival)
+    moving.until("", STATUS.SUCCESS)
+    stage.spin(lambda: moving.sent)
 
 
 def test_payloads_that_no_arm_carries_move_nothing_and_silence_nothing(

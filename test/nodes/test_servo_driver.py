@@ -120,8 +120,7 @@ def test_a_stalled_servo_stops_the_arm_until_reset(rig: Rig) -> None:
     assert "shoulder" in rig.is_in(DriverState.FAULT).message
     with rig.emulator.motor(1) as motor:
         motor.blocked = False
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     rig.start()  # it could not see that the servo had stalled
     assert "shoulder stalled" in rig.is_in(DriverState.FAULT).message
     rig.send("unasked", shoulder=0.8)
@@ -191,8 +190,7 @@ def test_a_signal_lets_the_servos_go(rig: Rig, signals: list[signal.Signals]) ->
 
 def test_a_killed_driver_leaves_the_arm_standing_and_its_successor_needs_no_clock(rig: Rig) -> None:
     rig.goes(shoulder=0.3)
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     assert rig.driving()  # the arm does not drop
     rig.start(use_sim_time=True)  # /clock is waited for, and never comes
     rig.is_idle()

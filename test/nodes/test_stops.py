@@ -28,7 +28,7 @@ def moving(rig: Rig) -> None:
     way = JointTrajectory(joint_names=["shoulder"], points=[JointTrajectoryPoint()])
     way.points[0].positions = [0.9 if here < 0.3 else -0.4]
     way.points[0].time_from_start = Duration(sec=30)
-    rig.stage.connected(rig.trajectories)
+    rig.stage.spin(rig.hears)
     way.header.stamp = rig.stamps.next()
     rig.trajectories.publish(way)
     rig.stage.spin(lambda: rig.events(order_id(way)) == [Motion.ACCEPTED])
@@ -38,8 +38,7 @@ def moving(rig: Rig) -> None:
 
 def waiting(rig: Rig) -> None:
     """A driver was killed, so the servos hold; the next one finds no cable."""
-    rig.process.kill()
-    rig.process.wait(timeout=300)
+    rig.dies()
     rig.emulator.unplug()
     rig.start(patience_s=60.0)
     rig.is_in(DriverState.UNCONFIGURED)

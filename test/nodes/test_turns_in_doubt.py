@@ -46,8 +46,7 @@ def turned_without_torque(rig: Rig) -> None:
 def test_a_lost_count_is_no_less_lost_after_a_restart(rig: Rig, ended: str) -> None:
     turned_without_torque(rig)
     if ended == "killed":
-        rig.process.kill()
-        rig.process.wait(timeout=300)
+        rig.dies()
     else:
         rig.ends()
     rig.start()
@@ -86,8 +85,7 @@ def test_to_start_the_driver_again_ends_no_fault_but_that_of_power_switched_off(
         else:
             motor.alarms.add(alarm)
     told = counting.is_in(DriverState.FAULT).message
-    counting.process.kill()
-    counting.process.wait(timeout=300)
+    counting.dies()
     counting.emulator.unplug()
     silent.clear()
     with counting.emulator.motor(1) as motor:

@@ -63,6 +63,7 @@ class Rig:
         self.diagnostics = stage.collect(graph.DIAGNOSTICS)
         self.trajectories = graph.JOINT_TRAJECTORY.publisher(stage.node)
         self.stamps, self.ids = Stamps(stage.node.get_clock()), dict[str, list[str]]()
+        self.dead: set[tuple[int, ...]] = set()
         self.process = self.start()
 
     def start(self, **params: object) -> subprocess.Popen[str]:
@@ -79,7 +80,22 @@ class Rig:
         """End the driver."""
         self.process.send_signal(signal.SIGINT)
         assert self.process.wait(timeout=300) == 0
-        self.stage.spin(lambda: self.trajectories.get_subscription_count() == 0)
+        self.stage.spin(lambda: not self.hears())
+
+    def dies(self) -> None:
+        """Kill the driver."""
+        self.dead |= self._listed()
+        self.process.kill()
+        self.process.wait(timeout=300)
+
+    def hears(self) -> bool:
+        """Whether a driver hears trajectories; one that was killed is listed for 20 s more."""
+        dead = len(self.dead & self._listed())
+        return bool(self.trajectories.get_subscription_count() > dead)
+
+    def _listed(self) -> set[tuple[int, ...]]:
+        node, topic = self.stage.node, self.trajectories.topic_name
+        return {tuple(told.endpoint_gid) for told in node.get_subscriptions_info_by_topic(topic)}
 
     def begins_without_servos(self, patience_s: float) -> subprocess.Popen[str]:
         """End the driver and start it anew with no cable."""
@@ -89,8 +105,7 @@ class Rig:
 
     def killed(self) -> None:
         """Kill the driver and start another one."""
-        self.process.kill()
-        self.process.wait(timeout=300)
+        self.dies()
         self.start()
 
     def anew(self) -> Rig:
@@ -155,7 +170,7 @@ class Rig:
         """Send a trajectory that this test calls so; the id by which the driver tells of it."""
         lasts = Duration(sec=lasts_s, nanosec=200_000_000)
         point = JointTrajectoryPoint(positions=list(goal.values()), time_from_start=lasts)
-        self.stage.connected(self.trajectories)
+        self.stage.spin(self.hears)
         sent = JointTrajectory(joint_names=list(goal), points=[point])
         sent.header.stamp = self.stamps.next() if stamp is None else stamp
         self.ids.setdefault(name, []).append(order_id(sent))

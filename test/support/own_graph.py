@@ -32,7 +32,8 @@ def claimed_domain() -> Iterator[int]:
 def own_graph(folder: Path) -> Iterator[int]:
     """Its domain, in the environment that processes inherit; logs in the folder.
 
-    Its nodes find each other in half a second, not in up to three (`discovery.xml`).
+    Its nodes find each other in half a second, not in up to three, and end as soon
+    (`discovery.xml`).
     """
     with claimed_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
