@@ -144,7 +144,7 @@ class ReportDiscovered(ReportPart):
 
 
 class Written(ReportPart):
-    """Which model was written, and the mean error that a command may expect of each model."""
+    """The name of the written model, and the error that a command may expect of each model."""
 
     model: Stage
     expected_commanded_mm: dict[str, float]

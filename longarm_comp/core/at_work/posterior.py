@@ -300,7 +300,7 @@ class RecursivePosterior:
 
     @cached_property
     def _moments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The moments over all possible changes and none, as of `_moments_over`."""
+        """The moments of `_moments_over`, over all possible changes and none."""
         likely = np.argwhere(self.probability > NEGLIGIBLE).tolist()
         return self._moments_over({(t, c): float(self.probability[t, c]) for t, c in likely})
 

@@ -250,9 +250,9 @@ class FunctionBank:
         return FunctionCandidate(named, decay, self._log_prior(group))
 
     def _log_prior(self, group: FunctionGroup) -> float:
-        """Return the log prior of a group of functions at one component.
+        """Return the log prior of a group of functions at one component of a twist.
 
-        Half of the probability of a family is for single components, half for all three axes.
+        A family gives half of its probability to single components, half to all three axes.
         """
         if group.family is FunctionFamily.OWN_JOINT:
             return -math.log(len(FunctionFamily) * len(self.functions.own_joint))

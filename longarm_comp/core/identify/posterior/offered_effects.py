@@ -348,7 +348,7 @@ class OfferedEffects:
 
     @cached_property
     def _first_number(self) -> dict[str, int]:
-        """For each name, the number of the first candidate that has it."""
+        """The number of the first candidate of each name."""
         return {c.name: n for n, c in reversed(list(enumerate(self.candidates)))}
 
     @cached_property
