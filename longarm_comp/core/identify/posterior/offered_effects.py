@@ -240,7 +240,7 @@ class OfferedEffects:
         for n, whole in enumerate(self.bank.offers):
             named = self.candidates[n].terms[0].searched and whole.name != offers[k].name
             rest = [o for o in others if not named or o.name != whole.name]
-            offer = whole.beside(frozenset(key for o in rest for key in o.keys))
+            offer = whole.free_part(frozenset(key for o in rest for key in o.keys))
             if offer is None:
                 continue
             places = list(offer.column_numbers)
