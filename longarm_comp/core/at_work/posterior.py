@@ -248,12 +248,12 @@ class RecursivePosterior:
         return np.asarray(np.exp(self.possible.log_weight - self.total))
 
     @property
-    def unexplained(self) -> float:
+    def chance_unexplained(self) -> float:
         """Probability that something changed that no known effect explains."""
         return float(np.exp(self.possible.unnamed - self.total).sum())
 
     @property
-    def grown(self) -> float:
+    def error_growth(self) -> float:
         """The factor by which the square of the errors has grown: its mean, 1 if nothing changed.
 
         It is averaged over the changes of no known effect (`_GROWN`).
@@ -279,7 +279,7 @@ class RecursivePosterior:
         return np.asarray(self.mean[places] + follows[places] @ jump - jump)
 
     @cached_property
-    def expected(self) -> np.ndarray:
+    def expected_values(self) -> np.ndarray:
         """The mean (q,) of the parameters, averaged over all possible changes and none."""
         return self._moments[0][: len(self.space)]
 
