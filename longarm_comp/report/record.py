@@ -159,8 +159,7 @@ class Doubtful(ReportPart):
 
 
 class ReportProof(ReportPart):
-    """The proof that the model with the findings errs less as commanded, at rows that were not
-    fitted."""
+    """The proof, at rows that were not fitted, that findings lower the error as commanded."""
 
     folds: int
     rows: int
