@@ -49,7 +49,7 @@ class UrdfJoint:
 
     @property
     def moves(self) -> bool:
-        """Whether its type moves, whatever its limits say."""
+        """True if its type moves, whatever its limits say."""
         return self.type in MOVING
 
     def at(self, value: float) -> np.ndarray:

@@ -107,7 +107,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         bank, own = of.bank, of.bank.offers[of.known[0]]
         (k,) = own.column_numbers
         seen = bank.gram[:, k] * (soft.compliance / of.widths[k])
-        clean = OfferBank(bank.offers, bank.gram, seen, bank.lower, bank.upper, bank.like)
+        clean = OfferBank(bank.offers, bank.gram, seen, bank.coefficients)
         worth: dict[str, float] = {}
         for offer in bank.offers:
             worth[offer.name] = max(worth.get(offer.name, -np.inf), clean.evidence([offer]))

@@ -1,4 +1,4 @@
-"""What a trajectory follower reports: its state, events, accepted trajectories, steps."""
+"""The report of a trajectory follower: its state, events, accepted trajectories, steps."""
 
 from dataclasses import dataclass
 from enum import Enum

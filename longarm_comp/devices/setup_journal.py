@@ -23,7 +23,7 @@ _FILES, _HELD = "servo_setup", "have not stored again what they had before"
 
 
 class SetupJournal:
-    """What the servos of one arm had stored. It is written before the first servo is changed.
+    """A record of what the servos of one arm had stored before the first of them was changed.
 
     It belongs to the arm, not to a port, because another arm may come to this port: only a setup
     or driver of the arm writes the values back or ends it.

@@ -31,7 +31,7 @@ class Stop(Enum):
 
     @property
     def cure(self) -> str:
-        """What a person does to end the stop, in words."""
+        """The instruction, in words, by which a person ends the stop."""
         if self is Stop.FAULT:
             return "call ~/reset once cured"
         return f"call ~/{self.name.lower()} with false to go on"

@@ -39,7 +39,7 @@ class TurnCounts:
     def follow(self, now: float, states: Mapping[int, ServoState]) -> None:
         """Note readings of servos without a goal to follow, or that may not follow it.
 
-        Args as in `trust`.
+        The arguments are those of `trust`.
         """
         for joint in self._joints.values():
             i, turn = joint.servo_id, joint.servo.ticks_per_turn
@@ -54,7 +54,7 @@ class TurnCounts:
         self.trust(now, states)
 
     def lose(self, ids: Iterable[int]) -> None:
-        """Note servos that may have lost their power under torque."""
+        """Note servos that may have lost their power while their torque was on."""
         self._lost.update(ids)
 
     @property

@@ -176,7 +176,7 @@ class ArmClient(GraphClient):
         return self._driver is not None or publishers > 0
 
     def driver_takes(self, *, held: bool = False) -> bool:
-        """Return whether the driver accepts trajectories, as one that publishes no state does.
+        """Tell whether the driver accepts trajectories; one that publishes no state always does.
 
         Raises:
             DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.

@@ -349,7 +349,7 @@ def running(
 ) -> Iterator[Supervisor]:
     """Start the graph's processes; end all of them on exit, also after an exception.
 
-    ``respawn`` and ``say``: as of `Supervisor`.
+    ``respawn`` and ``say`` are those of `Supervisor`.
     """
     with tempfile.TemporaryDirectory(prefix="longarm_") as scratch:
         graph = graph.with_servos(Path(scratch))

@@ -247,7 +247,7 @@ class PredictorClient:
 
 
 def _check_physics(beside_deflection: bool, deflection: bool) -> None:
-    """Raise `NoAnswer` if the physics had link deflection in training, but not now; or reverse."""
+    """Raise `NoAnswer` unless the physics is as in training, with or without link deflection."""
     if beside_deflection != deflection:
         fits = Method.BOTH if beside_deflection else Method.NETWORK
         raise NoAnswer(f"its predictor was trained for method {fits.value!r}")

@@ -113,7 +113,7 @@ def detail(diagnosis: Diagnosis, facts: Mapping[str, str]) -> Detail:
         facts: further facts for its provenance, by name.
     """
     arm = diagnosis.arm
-    units = tuple("m" if arm.joints[r - 1].type == "prismatic" else "rad" for r in arm.commanded)
+    units = tuple("m" if slides else "rad" for slides in arm.slides)
     rows = _collect_rows(diagnosis, units)
     return Detail(
         title=f"{diagnosis.arm.name}: {facts.get('session', 'session')}",
@@ -251,8 +251,7 @@ def _compare_encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable |
 
 
 def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
-    """Return where findings and causes are on the arm, at the held-out row whose tip is farthest
-    from the mean."""
+    """Return where findings and causes are on the arm, at the row farthest from the mean."""
     found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
     if not found:
         return ()

@@ -144,7 +144,7 @@ class ReportDiscovered(ReportPart):
 
 
 class Written(ReportPart):
-    """Which model was written, and the mean error that a command may expect of each model."""
+    """The name of the written model, and the error that a command may expect of each model."""
 
     model: Stage
     expected_commanded_mm: dict[str, float]
@@ -159,8 +159,7 @@ class Doubtful(ReportPart):
 
 
 class ReportProof(ReportPart):
-    """The proof that the model with the findings errs less as commanded, at rows that were not
-    fitted."""
+    """The proof, at rows that were not fitted, that findings lower the error as commanded."""
 
     folds: int
     rows: int

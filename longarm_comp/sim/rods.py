@@ -84,8 +84,7 @@ class Walker:
         self.mass = self.mass + mass
 
     def push(self, force: Array, at: Sequence[float] | Array) -> None:
-        """Apply a force (3, N) N at a position (m); both are given along the walker's present
-        axes."""
+        """Apply a force (3, N), N, at a position (m), both along the walker's present axes."""
         if self._pushed is None:
             self._pushed = self.mark((0.0, 0.0, 0.0), point=False)
         applied = _as_column(force)

@@ -115,9 +115,9 @@ class Calibration:
 
     @property
     def untold(self) -> tuple[str, ...]:
-        """What the rows do not determine of the placements and of the size of the arm.
+        """The parts of the placements and of the arm's size that the rows do not determine.
 
-        It stays at the value from which the fit began.
+        They stay at the values from which the fit began.
         """
         return list_undetermined(self.fit)
 

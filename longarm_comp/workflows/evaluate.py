@@ -76,8 +76,7 @@ class ErrorTable(Mapping[str, Errors]):
 
 @dataclass(frozen=True, repr=False)
 class Evaluation(ErrorTable):
-    """Errors by stage: `rigid`, `deflection` (an arm with beams), `calibrated` (with a model),
-    `network` (with a predictor).
+    """Errors by stage: `rigid`, `deflection` (beams), `calibrated` (model), `network` (predictor).
 
     Attributes:
         placed: whether the declared arm was first placed by the rows, because they show it at

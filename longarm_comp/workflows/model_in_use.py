@@ -55,8 +55,7 @@ def put_to_work(
 
 
 def undo(model: Path, predictor: Path | None = None) -> Path | None:
-    """Restore the previous version of a model, byte for byte, and the predictor that belonged to
-    it.
+    """Restore a model's previous version, byte for byte, and the predictor that belonged to it.
 
     Predictors are looked for beside the model. One that belonged to the undone version is set
     aside. An interrupted undo is finished by calling it again.

@@ -17,11 +17,12 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import Plan, sobol, with_floor
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.files import write_text
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.link_frames import outline
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.stereo.camera import StereoRig
-from longarm_comp.devices.stereo.camera_file import write_camera
+from longarm_comp.devices.stereo.camera_file import camera_text
 from longarm_comp.devices.stereo.eye import StereoEye
 from longarm_comp.devices.stereo.refusal import StereoRefusal
 from longarm_comp.devices.stereo.target import TagBoard
@@ -206,7 +207,7 @@ def test_the_calibration_beside_an_arm_is_its_lens(hobby: Path, tmp_path: Path) 
         shutil.copy(hobby / f"{name}.yaml", tmp_path)
     pair = CameraPair(focal_px=512.0, size=(800, 600), baseline_m=0.17)
     for side, info in zip(SIDES, pair.camera_infos(), strict=True):
-        write_camera(camera_path(tmp_path, side), side, info, "")
+        write_text(camera_path(tmp_path, side), camera_text(side, info))
     view = view_beside(tmp_path / "arm.yaml")
     assert view is not None
     assert (view.focal_px, view.middle_px, view.size_px) == (512.0, (399.5, 299.5), (800, 600))

@@ -29,10 +29,11 @@ from small_arm import ARM, measured
 from longarm_comp.arm_folder.measured import SIDES
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.errors import InputError, LongarmError
+from longarm_comp.core.files import write_text
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model
 from longarm_comp.devices.servo_config import ServoConfig
-from longarm_comp.devices.stereo.camera_file import write_camera
+from longarm_comp.devices.stereo.camera_file import camera_text
 from longarm_comp.report import record
 from longarm_comp.report.record import read_report
 from longarm_comp.sessions.csv import read_csv, write_csv
@@ -192,7 +193,7 @@ def whole(work: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert made("init", folder / FOLDER, "--arm", seen) == 0
     pair = CameraPair((0.2, -2.0, 0.3), (0.0, 1.0, 0.0))
     for side, info in zip(SIDES, pair.camera_infos(), strict=True):
-        write_camera(folder / FOLDER / "cameras" / f"{side}.yaml", side, info, "")
+        write_text(folder / FOLDER / "cameras" / f"{side}.yaml", camera_text(side, info))
     (folder / "arms" / "a").mkdir(parents=True)
     shutil.copy(folder / STIFF, folder / "arms" / "a" / "arm.yaml")
     shutil.copy(folder / "few.csv", folder / "arms" / "a" / "s.csv")

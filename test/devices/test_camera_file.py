@@ -10,7 +10,7 @@ from stereo_head import HEAD
 
 from longarm_comp.core.errors import InputError
 from longarm_comp.devices.stereo.camera import StereoRig
-from longarm_comp.devices.stereo.camera_file import read_camera, write_camera
+from longarm_comp.devices.stereo.camera_file import camera_text, read_camera
 
 LENS = (-0.2, 0.05, 1e-4, -2e-4, 0.01, 0.3, -0.02, 4e-3)
 
@@ -31,7 +31,7 @@ def test_a_file_holds_what_a_topic_may_tell(
     told = [dataclasses.replace(i, distortion_model=model, d=d) for i in HEAD.camera_infos()]
     files = [tmp_path / f"{side}.yaml" for side in ("left", "right")]
     for file, info in zip(files, told, strict=True):
-        write_camera(file, file.stem, info, "")
+        file.write_text(camera_text(file.stem, info))
     assert yaml.safe_load(files[0].read_text())["distortion_coefficients"]["cols"] == len(d)
     read = [read_camera(file) for file in files]
     assert read == told
@@ -42,11 +42,12 @@ def test_a_file_holds_what_a_topic_may_tell(
 
 def test_a_fisheye_and_numbers_that_are_missing_are_refused(tmp_path: Path) -> None:
     file, (info, _) = tmp_path / "left.yaml", HEAD.camera_infos()
-    write_camera(file, "left", dataclasses.replace(info, distortion_model="equidistant"), "")
+    fisheye = dataclasses.replace(info, distortion_model="equidistant")
+    file.write_text(camera_text("left", fisheye))
     allowed = "'equidistant'; allowed: plumb_bob or rational_polynomial"
     with pytest.raises(InputError, match=rf"left\.yaml: distortion_model: {allowed}"):
         read_camera(file)
-    write_camera(file, "left", info, "")
+    file.write_text(camera_text("left", info))
     whole = yaml.safe_load(file.read_text())
     for key in ("distortion_coefficients", "camera_matrix"):
         file.write_text(yaml.safe_dump({k: v for k, v in whole.items() if k != key}))

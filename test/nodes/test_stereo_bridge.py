@@ -19,7 +19,7 @@ from own_graph import own_graph
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import CompressedImage
 
-from longarm_comp.devices.stereo.camera_file import write_camera
+from longarm_comp.devices.stereo.camera_file import camera_text
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.clock import stamp_of
 from longarm_comp.nodes.images import image_message, info_message
@@ -256,7 +256,7 @@ def test_compressed_images_are_measured_in_a_namespace_by_the_files_of_the_pair(
     """Whatever calibration the cameras tell, and if they tell none."""
     stage, name = cameras.stage, "packed"
     for side, info in zip(("left", "right"), PAIR.camera_infos(), strict=True):
-        write_camera(tmp_path / f"{side}.yaml", side, info, "")
+        (tmp_path / f"{side}.yaml").write_text(camera_text(side, info))
     given = {"image_transport": "compressed", "cameras": str(tmp_path)}
     stage.start("stereo_bridge", given | {"diagnostics_period_s": 0.1}, name)
     tips = stage.collect(graph.TIP_MEASURED, name)

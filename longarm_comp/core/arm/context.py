@@ -190,7 +190,7 @@ class Context:
 
     @cached_property
     def layout(self) -> Layout:
-        """Which numbers and texts this record holds."""
+        """The names of the numbers and texts that this record holds."""
         joints = tuple([len(getattr(self, name)) for name in PER_JOINT])
         return Layout(joints, tuple(sorted(self.columns)), tuple(sorted(self.labels.items())))
 
@@ -211,7 +211,7 @@ def _of_each(value: Any) -> bool:
 
 @dataclass(frozen=True)
 class Layout:
-    """Which numbers a `Context` holds, so that a compiled model reads them in a fixed order."""
+    """The numbers of a `Context`, in the fixed order in which a compiled model reads them."""
 
     joints: tuple[int, ...]  # number of scalars of each per-joint field, in order of `PER_JOINT`
     columns: tuple[str, ...]  # sorted

@@ -141,8 +141,8 @@ class History:
         """Return the history at each of k way-points of one motion without a stop.
 
         Every field has one more axis, of length k, in front. Sides and legs are those of `after`;
-        `last_way` is the displacement since the previous way-point.  Arguments as of `after`; with
-        an unknown start the motion begins at the first way-point.
+        `last_way` is the displacement since the previous way-point.  The arguments are those of
+        `after`; with an unknown start the motion begins at the first way-point.
         """
         first = points[0] if start is None else start
         ways = np.diff(points, axis=0, prepend=first[None])
@@ -171,7 +171,7 @@ class History:
         return self._of_joints(np.sign(self.approach) == np.sign(other.approach), 0)
 
     def _of_joints(self, known: np.ndarray, sides: np.ndarray | int) -> History:
-        """Return the history of some joints (n,) bool; the others have only given sides."""
+        """Return the history, of which joints not `known` (n,) keep nothing but the given sides."""
         legs = np.where(known[:, None], self.legs, 0.0)
         approach = np.where(known, self.approach, sides)
         return History(approach, legs, np.where(known, self.last_way, 0.0))
@@ -245,7 +245,7 @@ def first_of_stand(q: np.ndarray, index: np.ndarray) -> np.ndarray:
 def read_sides(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -> np.ndarray:
     """Return the recorded side of arrival, (N, n) of -1, 0, +1; 0 if the run-up is recorded.
 
-    Arguments as of `recorded_history`.
+    The arguments are those of `recorded_history`.
     """
     if approach is None:
         return np.zeros(q.shape)

@@ -361,7 +361,7 @@ class Posture:
         return self.chain.frame_station(row)
 
     def spot(self, marker: str = "") -> int:
-        """Return the station of the tip's or a marker's offset: at its frame, without mass."""
+        """Return the station, without mass, of a marker's offset; without a name the tip's."""
         return self.chain.spots[marker]
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -79,7 +80,7 @@ class Branch:
         taken = dataclasses.replace(self, known=known, age=age)
         yield weight + math.log1p(-DOUBT) + known.log_likelihood, taken
         if wrong:
-            doubt = weight + math.log(DOUBT) + row.log_doubt(self.known.expected)
+            doubt = weight + math.log(DOUBT) + row.log_doubt(self.known.expected_values)
             left_out = self.left_out + 1
             yield doubt, dataclasses.replace(self, known=before, left_out=left_out, age=age)
 
@@ -92,7 +93,7 @@ class Branch:
         chance = known.probability.sum(axis=0)
         some = float(chance.sum())
         order = np.argsort(-chance)[:MOST]
-        sure = some > CREDIBLE and known.unexplained < NEGLIGIBLE + 0.5 * some
+        sure = some > CREDIBLE and known.chance_unexplained < NEGLIGIBLE + 0.5 * some
         count = known.count[int(known.probability[:, order[0]].argmax())] if sure else 0
         few = sure and chance[order].sum() >= (1.0 - DOUBT) * some and count >= _FEWEST
         if not (few or count >= _LATEST):
@@ -176,9 +177,9 @@ class Explanations:
         return Explanations(branches, visited)
 
     @cached_property
-    def expected(self) -> np.ndarray:
+    def expected_values(self) -> np.ndarray:
         """The mean (q,) of the parameters over all explanations."""
-        return np.sum([b.weight * b.known.expected for b in self.branches], axis=0)
+        return np.sum([b.weight * b.known.expected_values for b in self.branches], axis=0)
 
     @cached_property
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
@@ -188,7 +189,7 @@ class Explanations:
         for b in self.branches:
             places, covariance = b.known.spread
             own = np.isin(active, places)
-            off = (b.known.expected - self.expected)[active]
+            off = (b.known.expected_values - self.expected_values)[active]
             made += b.weight * np.outer(off, off)
             made[np.ix_(own, own)] += b.weight * covariance
         return active, made
@@ -196,7 +197,7 @@ class Explanations:
     @cached_property
     def within_bounds(self) -> np.ndarray:
         """The most probable parameters within their bounds, (q,)."""
-        return self.space.most_probable(self.expected, *self.covariance)
+        return self.space.most_probable(self.expected_values, *self.covariance)
 
     def chance_of_knock(self, columns: np.ndarray, least: float) -> float:
         """Return the probability that base, tip or a measuring device was knocked out of place.
@@ -212,36 +213,36 @@ class Explanations:
             for change in b.changes:
                 if space.knocks[c := space.keys.index(change.key)]:
                     own = space.own(c)
-                    off[own] = b.known.expected[own] - change.before
+                    off[own] = b.known.expected_values[own] - change.before
             gone = float(np.linalg.norm(columns @ off)) > least
             made += b.weight * (1.0 if gone else b.known.probability[:, space.knocks].sum())
         return made
 
     @property
-    def disputed(self) -> bool:
+    def is_disputed(self) -> bool:
         """True if the last sighting surprised and it is not yet clear whether it is wrong."""
         first = self.branches[0]
         other = sum(b.weight for b in self.branches if b.left_out != first.left_out)
         return first.age == 0 and other > NEGLIGIBLE
 
     @property
-    def grown(self) -> float:
+    def error_growth(self) -> float:
         """Factor by which the square of the errors that no parameter explains has grown."""
-        return sum(b.weight * b.known.grown for b in self.branches)
+        return sum(b.weight * b.known.error_growth for b in self.branches)
 
     @property
-    def unexplained(self) -> float:
+    def chance_unexplained(self) -> float:
         """Probability that something changed that no known effect explains."""
-        return sum(b.weight * b.known.unexplained for b in self.branches)
+        return sum(b.weight * b.known.chance_unexplained for b in self.branches)
 
     @cached_property
     def places(self) -> dict[str, float]:
         """The probability that something has changed, by place, in the order of the changes."""
-        made: dict[str, float] = {}
+        made = defaultdict[str, float](float)
         for b in self.branches:
             for place in dict.fromkeys(c.where for c in b.changes):
-                made[place] = made.get(place, 0.0) + b.weight
-        return made
+                made[place] += b.weight
+        return dict(made)
 
 
 class Named(Declared):
@@ -266,8 +267,7 @@ class Named(Declared):
 
     @property
     def text(self) -> str:
-        """The change in one line: ``backlash (61 %) or servo_droop (39 %), joint 2: width +0.0031
-        rad``."""
+        """The change in one line, such as ``backlash (61 %), joint 2: width +0.0031 rad``."""
         each = ((self.effect, self.probability), *self.rivals)
         names = " or ".join(f"{name} ({100 * p:.0f} %)" for name, p in each)
         by = ", ".join(f"{name} {value:+.2g} {unit}" for name, unit, value in self.by)
@@ -278,26 +278,19 @@ def name_change(known: Explanations, where: str) -> Named:
     """Describe the change at a place by the effect that has most probably changed there."""
     here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
     whole = sum(b.weight for b, _ in here)
-    chances: dict[str, float] = {}
+    chances = defaultdict[str, float](float)
     for branch, change in here:
-        name = change.key[0]
-        chances[name] = chances.get(name, 0.0) + branch.weight / whole
+        chances[change.key[0]] += branch.weight / whole
     first, *others = sorted(chances, key=lambda name: -chances[name])
     branch, change = next((b, c) for b, c in here if c.key[0] == first)
     space = branch.known.space
     places = space.own(space.keys.index(change.key))
-    moved = branch.known.expected[places] - np.array(change.before)
+    moved = branch.known.expected_values[places] - np.array(change.before)
     slots = [space.slots[k] for k in places]
     several = len({s.owner.where for s in slots}) > 1
-    by = tuple(
-        (
-            f"{s.owner.where} {s.parameter.name}" if several else s.parameter.name,
-            s.parameter.unit,
-            v,
-        )
-        for s, v in zip(slots, moved.tolist(), strict=True)
-        if v
-    )
+    names = [f"{s.owner.where} " * several + s.parameter.name for s in slots]
+    units = [s.parameter.unit for s in slots]
+    by = tuple(each for each in zip(names, units, moved.tolist(), strict=True) if each[-1])
     return Named(
         effect=first,
         where=where,

@@ -113,17 +113,17 @@ class Learner:
         return cls(model, versions=(Version(-math.inf, model, None),), step_m=step_m)
 
     @property
-    def record(self) -> ModelUncertainty:
+    def uncertainty(self) -> ModelUncertainty:
         """The uncertainty of the model in use."""
         assert self.model.uncertainty is not None
         return self.model.uncertainty
 
     @property
-    def given(self) -> ModelUncertainty:
+    def prior(self) -> ModelUncertainty:
         """The uncertainty of the model before any learning."""
-        record = self.versions[0].model.uncertainty
-        assert record is not None  # checked by `of`
-        return record
+        given = self.versions[0].model.uncertainty
+        assert given is not None  # checked by `of`
+        return given
 
     def learn(
         self,
@@ -146,9 +146,9 @@ class Learner:
         """
         if self.frozen:
             return self
-        known = self.known or _begin_explanations(self.model, self.record, context)
-        before = self.domain or self.record.domain
-        promised = dataclasses.replace(self.given, domain=before)
+        known = self.known or _begin_explanations(self.model, self.uncertainty, context)
+        before = self.domain or self.uncertainty.domain
+        promised = dataclasses.replace(self.prior, domain=before)
         domain = None if before is None else before.plus(q)
         error = error_of_sighting(self.model, promised, q, context, variance, learned)
         space, arm = known.space, self.model.arm
@@ -207,9 +207,9 @@ class Learner:
         at = known.space.values(self.model)
         wanted = known.within_bounds - at
         step = float(np.linalg.norm(row.columns @ wanted))
-        scatter = math.sqrt(float(np.trace(self.given.noise + self.given.structure)))
+        scatter = math.sqrt(float(np.trace(self.prior.noise + self.prior.structure)))
         knocked = known.chance_of_knock(row.columns, KNOCK * scatter) > 0.5
-        in_doubt = known.disputed or known.unexplained > 0.5 or knocked
+        in_doubt = known.is_disputed or known.chance_unexplained > 0.5 or knocked
         if step < WORTH * scatter and not (in_doubt or self.settled):
             return dataclasses.replace(self, knocked=knocked)
         share = 0.0
@@ -244,7 +244,7 @@ class Learner:
     def _model_at(self, known: Explanations, values: np.ndarray) -> Model:
         """Build the model with parameter values (q,), and its uncertainty about these values."""
         model = known.space.at(values)
-        given = self.given
+        given = self.prior
         active, covariance = known.covariance
         off = (known.within_bounds - values)[active]
         slots = [known.space.slots[k] for k in active]
@@ -255,10 +255,10 @@ class Learner:
         kept = [k for k, s in enumerate(slots) if s.owner.key in held or s.owner.key in absent]
         left = covariance + np.outer(off, off)
         record = dataclasses.replace(
-            self.record,
+            self.uncertainty,
             slots=tuple(slots[k].identity for k in kept),
             factor=factor_of(left[np.ix_(kept, kept)]),
-            structure=known.grown * (given.structure + given.noise) - given.noise,
+            structure=known.error_growth * (given.structure + given.noise) - given.noise,
             absent=tuple(absent.values()),
             domain=self.domain,
         )
@@ -286,10 +286,11 @@ class Learner:
         legs[..., 0] = side * run_up_lengths(arm)
         came = History(side, legs, legs[..., 0]).fields()
         there = dataclasses.replace(_at_all(context, len(q)), **came)
-        likely = (space.most_probable(b.known.expected, *b.known.spread) for b in (first, *rivals))
+        each = (b.known for b in (first, *rivals))
+        likely = (space.most_probable(known.expected_values, *known.spread) for known in each)
         tips = [space.at(values).tip(q, there) for values in likely]
         off = np.array(tips[1:]) - tips[0]
-        precision = np.linalg.inv(self.given.noise + structure_left(self.given, arm, q))
+        precision = np.linalg.inv(self.prior.noise + structure_left(self.prior, arm, q))
         odds = 0.5 * np.einsum("rij,ijk,rik->ri", off, precision, off)
         which, best = np.unravel_index(int(odds.argmax()), odds.shape)
         if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):
@@ -321,7 +322,7 @@ class Learner:
     @property
     def unexplained(self) -> bool:
         """True if no known effect explains a change (probability 95 %): a diagnosis is needed."""
-        return self.known is not None and self.known.unexplained >= CREDIBLE
+        return self.known is not None and self.known.chance_unexplained >= CREDIBLE
 
     def freeze(self) -> Learner:
         """Return the learner that keeps its model and ignores sightings until `thaw`."""

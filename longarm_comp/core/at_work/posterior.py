@@ -8,7 +8,7 @@ counts as a series of jumps.
 
 The error that no parameter explains is nearly the same at each visit to a pose.  If it counted as
 new noise at each visit, it would be learned as a fault of the arm. So the filter also estimates
-this error at each of the poses visited last, and the errors that all sightings share.
+m persistent errors: those that all sightings share, and that of each of the poses visited last.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.row import Row
@@ -57,9 +58,11 @@ class RecursivePosterior:
     """The probability distribution of the parameters after some sightings."""
 
     space: Parameters  # the q parameters and C possible changes
-    mean: np.ndarray  # (q,) mean of the parameters if nothing changed
-    active: np.ndarray  # (p,) positions of the parameters that are not known exactly
-    covariance: np.ndarray  # (p + m, p + m) of the active ones and of `beside`
+    mean: np.ndarray
+    """(q + m,) mean of the parameters if nothing changed, then of the persistent errors: r shared
+    ones, in standard deviations, and each pose's own, m."""
+    active: np.ndarray  # (p + m,) positions in `mean` of what is not known exactly
+    covariance: np.ndarray  # (p + m, p + m) of the active ones
     again: np.ndarray  # (C,) bool, whether an effect has changed before
     since: np.ndarray  # (T,) s, time of the first sighting after each onset
     count: np.ndarray  # (T,) number of sightings since each onset
@@ -69,8 +72,6 @@ class RecursivePosterior:
     gram: np.ndarray  # (T, C, k, k) information on a jump in prior standard deviations
     along: np.ndarray  # (T, C, k) its product with the jump that the sightings show
     growth: np.ndarray  # (T, G) log Bayes factors of grown errors
-    beside: np.ndarray
-    """(m,) mean of the r shared errors, in standard deviations, then of each pose's own, m."""
     common: int = 0  # r
     log_likelihood: float = 0.0  # of the last sighting
     surprise: float = 0.0  # how far below its highest possible value this likelihood is
@@ -87,17 +88,16 @@ class RecursivePosterior:
         """Make the posterior before the first sighting.
 
         Args:
-            space, mean, active, common: the attributes of the same names.
-            covariance: (p, p) of the active parameters.
+            space: the parameters and their possible changes.
+            mean, active, covariance: the attributes of the same names, without shared errors.
+            common: the number r of shared errors, which have unit normal priors.
         """
         c, k = space.places.shape
-        known = len(active)
-        whole = np.eye(known + common)
-        whole[:known, :known] = covariance
+        whole = block_diag(covariance, np.eye(common))
         return cls(
             space=space,
-            mean=mean,
-            active=active,
+            mean=np.append(mean, np.zeros(common)),
+            active=np.append(active, len(mean) + np.arange(common)),
             covariance=whole,
             again=np.zeros(c, bool),
             since=np.zeros(0),
@@ -108,29 +108,27 @@ class RecursivePosterior:
             gram=np.zeros((0, c, k, k)),
             along=np.zeros((0, c, k)),
             growth=np.zeros((0, len(_GROWN))),
-            beside=np.zeros(common),
             common=common,
         )
 
     def with_anew(self, first: int, prior: np.ndarray) -> RecursivePosterior:
-        """Return the posterior with the errors from `first` in `beside` on reset to a prior.
+        """Return the posterior with the persistent errors from number `first` on reset to a prior.
 
         They may lie behind the last one: so the error of a further pose begins.
         """
-        p, known = len(self.active), len(self.covariance)
-        own = slice(p + first, p + first + len(prior))
-        whole = max(known, own.stop)
-        covariance = np.zeros((whole, whole))
-        covariance[:known, :known] = self.covariance
-        covariance[own] = covariance[:, own] = 0.0
-        covariance[own, own] = prior
-        response = np.zeros((len(self.response), whole, len(self.space)))
-        response[:, :known] = self.response
-        response[:, own] = 0.0
-        beside = np.zeros(whole - p)
-        beside[: len(self.beside)] = self.beside
-        beside[first : first + len(prior)] = 0.0
-        return dataclasses.replace(self, covariance=covariance, response=response, beside=beside)
+        which = len(self.space) + first + np.arange(len(prior))
+        more = max(int(which[-1]) + 1 - len(self.mean), 0)
+        mean = np.append(self.mean, np.zeros(more))
+        active = np.append(self.active, len(self.mean) + np.arange(more))
+        covariance = block_diag(self.covariance, np.zeros((more, more)))
+        response = np.pad(self.response, ((0, 0), (0, more), (0, 0)))
+        own = np.searchsorted(active, which)
+        mean[which] = 0.0
+        covariance[own] = covariance[:, own] = response[:, own] = 0.0
+        covariance[np.ix_(own, own)] = prior
+        return dataclasses.replace(
+            self, mean=mean, active=active, covariance=covariance, response=response
+        )
 
     def update(self, row: Row) -> RecursivePosterior:
         """Return the posterior after one more sighting, for "nothing changed" and for every change.
@@ -139,17 +137,19 @@ class RecursivePosterior:
         now more than `_ONSETS`, the onset closest to its neighbours, relative to its age, is
         dropped.
         """
-        own = np.zeros((3, len(self.beside)))
-        own[:, : row.common.shape[1]] = row.common
+        count = len(self.space)
+        columns = np.zeros((3, len(self.mean)))
+        columns[:, :count] = row.columns
+        columns[:, count : count + row.common.shape[1]] = row.common
         if row.place >= 0:
-            at = self.common + 3 * row.place
-            own[:, at : at + 3] = np.eye(3)
-        a = np.concatenate([row.columns[:, self.active], own], axis=1)
+            at = count + self.common + 3 * row.place
+            columns[:, at : at + 3] = np.eye(3)
+        a = columns[:, self.active]
         carried = self.covariance @ a.T
         spread = a @ carried + row.noise
         inverse = np.linalg.inv(spread)
         gain = carried @ inverse
-        off = row.value - row.columns @ self.mean - own @ self.beside
+        off = row.value - columns @ self.mean
         response = _add_onset(self.response)
         seen = row.columns - a @ response
         response = response + gain @ seen
@@ -157,8 +157,8 @@ class RecursivePosterior:
         jump = np.moveaxis((seen * self.space.widths)[:, :, self.space.places], 1, -1)
         jump = np.where((self.space.places >= 0)[None, :, :, None], jump, 0.0)
         turned = jump @ inverse
-        mean, moved = self.mean.copy(), gain @ off
-        mean[self.active] += moved[: len(self.active)]
+        mean = self.mean.copy()
+        mean[self.active] += gain @ off
         square = float(off @ inverse @ off)
         log_det = float(np.linalg.slogdet(2.0 * math.pi * spread)[1])
         growth = 0.5 * square * (1.0 - _GROWN**-2) - 3.0 * np.log(_GROWN)
@@ -166,7 +166,6 @@ class RecursivePosterior:
         after = dataclasses.replace(
             self,
             mean=mean,
-            beside=self.beside + moved[len(self.active) :],
             covariance=(covariance + covariance.T) / 2.0,
             since=np.append(self.since, row.t_s),
             count=np.append(self.count, 0) + 1,
@@ -208,7 +207,8 @@ class RecursivePosterior:
         evidence = 0.5 * (share * z**2).sum(-1) - 0.5 * np.log(grown).sum(-1)
         means = np.einsum("tcik,tcsk->tcsi", turn, share * z)
         # (C, 1, k) least and largest jump, so that every parameter stays within its bounds
-        least, most = ((b - self.mean) / self.space.widths for b in self.space.bounds)
+        now = self.mean[: len(self.space)]
+        least, most = ((b - now) / self.space.widths for b in self.space.bounds)
         places, used = self.space.places, self.space.places >= 0
         lower = np.where(used, np.minimum(least, 0.0)[places], -np.inf)[:, None, :]
         upper = np.where(used, np.maximum(most, 0.0)[places], np.inf)[:, None, :]
@@ -248,12 +248,12 @@ class RecursivePosterior:
         return np.asarray(np.exp(self.possible.log_weight - self.total))
 
     @property
-    def unexplained(self) -> float:
+    def chance_unexplained(self) -> float:
         """Probability that something changed that no known effect explains."""
         return float(np.exp(self.possible.unnamed - self.total).sum())
 
     @property
-    def grown(self) -> float:
+    def error_growth(self) -> float:
         """The factor by which the square of the errors has grown: its mean, 1 if nothing changed.
 
         It is averaged over the changes of no known effect (`_GROWN`).
@@ -264,19 +264,14 @@ class RecursivePosterior:
     def _describe_jump(self, t: int, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions (k,) and mean jump (k,) of the parameters of change c at onset t.
 
-        The derivatives (q + m, k) of the mean of all parameters and of `beside` come third.
+        The derivatives (q + m, k) of `mean` by the jump come third.
         """
         places = np.array(self.space.own(c))
         jump = self.possible.mean[t, c, : len(places)] * self.space.widths[places]
-        follows = np.zeros((len(self.space) + len(self.beside), len(places)))
-        follows[self._uncertain] = -self.response[t][:, places]
+        follows = np.zeros((len(self.mean), len(places)))
+        follows[self.active] = -self.response[t][:, places]
         follows[places, np.arange(len(places))] += 1.0
         return places, jump, follows
-
-    @property
-    def _uncertain(self) -> np.ndarray:
-        """Positions (p + m,) of the rows of `covariance` in the parameters, then `beside`."""
-        return np.append(self.active, len(self.space) + np.arange(len(self.beside)))
 
     def value_before(self, t: int, c: int) -> np.ndarray:
         """Return the (k,) parameters of an effect before change c, if it came at onset t."""
@@ -284,7 +279,7 @@ class RecursivePosterior:
         return np.asarray(self.mean[places] + follows[places] @ jump - jump)
 
     @cached_property
-    def expected(self) -> np.ndarray:
+    def expected_values(self) -> np.ndarray:
         """The mean (q,) of the parameters, averaged over all possible changes and none."""
         return self._moments[0][: len(self.space)]
 
@@ -300,36 +295,35 @@ class RecursivePosterior:
 
     @cached_property
     def _moments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The moments over all possible changes and none, as of `_moments_over`."""
+        """The moments of `_moments_over`, over all possible changes and none."""
         likely = np.argwhere(self.probability > NEGLIGIBLE).tolist()
         return self._moments_over({(t, c): float(self.probability[t, c]) for t, c in likely})
 
     def _moments_over(
         self, weights: Mapping[tuple[int, int], float]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Compute the moments of the q parameters and of `beside` over some of the changes.
+        """Compute the moments of parameters and persistent errors over some of the changes.
 
         They are the mean (q + m,), the positions (a,) of what is uncertain, and its covariance.
 
         Args:
             weights: probability by (onset, change); no change has 1 less their sum.
         """
-        own, jumps = self._uncertain, {at: self._describe_jump(*at) for at in weights}
-        unchanged = np.append(self.mean, self.beside)
+        jumps = {at: self._describe_jump(*at) for at in weights}
         off = {at: follows @ jump for at, (_, jump, follows) in jumps.items()}
-        mean = unchanged + sum(weight * off[at] for at, weight in weights.items())
+        mean = self.mean + sum(weight * off[at] for at, weight in weights.items())
         changed = [places for places, _, _ in jumps.values()]
-        active = np.unique(np.concatenate([own, *changed])).astype(int)
-        before = np.isin(active, own)
+        active = np.unique(np.concatenate([self.active, *changed])).astype(int)
+        before = np.isin(active, self.active)
         covariance = np.zeros((len(active), len(active)))
         covariance[np.ix_(before, before)] = self.covariance
-        away = (unchanged - mean)[active]
+        away = (self.mean - mean)[active]
         covariance += max(1.0 - sum(weights.values()), 0.0) * np.outer(away, away)
         for (t, c), weight in weights.items():
             places, _, follows = jumps[t, c]
             spread = self.possible.spread[t, c][: len(places), : len(places)]
             carried = follows[active] * self.space.widths[places]
-            away = (unchanged + off[t, c] - mean)[active]
+            away = (self.mean + off[t, c] - mean)[active]
             covariance += weight * (carried @ spread @ carried.T + np.outer(away, away))
         return mean, active, covariance
 
@@ -341,20 +335,11 @@ class RecursivePosterior:
         """
         chance = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = {(t, c): float(p) for t, p in enumerate(chance) if p > NEGLIGIBLE}
-        whole, count = sum(likely.values()), len(self.space)
-        weights = {at: p / whole for at, p in likely.items()}
-        mean, uncertain, covariance = self._moments_over(weights)
-        active, again = uncertain[uncertain < count], self.again.copy()
+        whole, again = sum(likely.values()), self.again.copy()
         again[c] = True
-        begun = RecursivePosterior.begin(self.space, mean[:count], active, np.eye(len(active)))
-        return dataclasses.replace(
-            begun,
-            covariance=covariance,
-            response=np.zeros((0, len(covariance), count)),
-            again=again,
-            beside=mean[count:],
-            common=self.common,
-        )
+        moments = self._moments_over({at: p / whole for at, p in likely.items()})
+        begun = RecursivePosterior.begin(self.space, *moments)
+        return dataclasses.replace(begun, again=again, common=self.common)
 
     def mixed_with(self, other: RecursivePosterior, share: float) -> RecursivePosterior:
         """Return the posterior with mean and covariance of a mixture with another one.
@@ -364,12 +349,11 @@ class RecursivePosterior:
                 changes are not taken from it.
             share: its probability.
         """
-        off = np.append(other.mean - self.mean, other.beside - self.beside)
-        off, away = share * off, off[self._uncertain]
+        off = other.mean - self.mean
+        away = off[self.active]
         covariance = (1.0 - share) * self.covariance + share * other.covariance
         covariance = covariance + share * (1.0 - share) * np.outer(away, away)
-        mean, beside = np.split(np.append(self.mean, self.beside) + off, [len(self.space)])
-        return dataclasses.replace(self, mean=mean, beside=beside, covariance=covariance)
+        return dataclasses.replace(self, mean=self.mean + share * off, covariance=covariance)
 
     def without_changes(self, which: Sequence[int]) -> RecursivePosterior:
         """Return the posterior, given that none of some changes has happened until now."""

@@ -157,3 +157,9 @@ def choose_evenly(rows: np.ndarray, most: int) -> np.ndarray:
 def prior_widths(slots: tuple[Slot, ...]) -> np.ndarray:
     """Return the (p,) prior standard deviations of parameters, each in the parameter's unit."""
     return np.array([s.parameter.width for s in slots], dtype=float)
+
+
+def prior_bounds(slots: tuple[Slot, ...]) -> np.ndarray:
+    """Return the lower and the upper bounds (2, p) of parameters over their prior widths."""
+    ends = [(s.parameter.lower, s.parameter.upper) for s in slots]
+    return np.reshape(ends, (-1, 2)).T / prior_widths(slots)

@@ -226,7 +226,7 @@ def _share_by_groups(residual: np.ndarray) -> SensorShare:
 def _share_by_statement(fit: ModelFit) -> SensorShare:
     """Estimate the sensor's share by the noise that the rows state; 1 if they state none.
 
-    Other causes may be of any size.
+    The noise of causes other than the sensor may be of any size.
     """
     sign = "is scatter far beyond the noise that the rows state"
     stated = [fit.session.claimed_sigma.get(name, math.nan) for name in fit.session.channels]

@@ -1,4 +1,4 @@
-"""What is received from the running arm: are its joints believed, and which circumstances hold."""
+"""Decides which readings of the running arm are believed, and which circumstances hold."""
 
 from __future__ import annotations
 

@@ -269,7 +269,7 @@ class _PathProblem:
     def _give_times(
         self, way: np.ndarray, off: np.ndarray, lag: np.ndarray, reversals: list[Reversal]
     ) -> CubicPath:
-        """Return the path to send, with times within the limits; arguments as in `take_up_play`."""
+        """Return the path to send, timed within the limits; `take_up_play` has the arguments."""
         plan, arm = self.plan, self.model.arm
         planned = np.arange(float(len(way))) if plan.times is None else plan.times
         begun = self._begin_where_it_stands(way + off + lag)[:2]

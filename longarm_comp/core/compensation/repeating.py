@@ -31,7 +31,7 @@ from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 
 @dataclass(frozen=True, eq=False)
 class Unexpected:
-    """What was not expected of one sighting."""
+    """The part of one sighting that was not expected."""
 
     off: np.ndarray  # (3,) m, the sighting less its expectation after all sightings before
     covariance: np.ndarray  # (3, 3) m^2, of `off` while nothing changes

@@ -1,4 +1,4 @@
-"""How far a sighting may be from its prediction: what a command promises, and the sensor's noise.
+"""Computes how far a sighting may be from its prediction: by the command, and by the sensor.
 
 The sum is that of `compensate.judge`.  Here its parts are separate, because they repeat in
 different ways.  An error that all sightings share tells no more in a hundred of them than in one,

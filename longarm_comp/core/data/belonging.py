@@ -49,7 +49,7 @@ SUSPECT_TURN, _STRANGE_TURN = 0.1, 0.5
 
 @dataclass(frozen=True)
 class _Belief:
-    """How well rows fit an arm whose base and markers are placed by these rows."""
+    """The misfit of rows to an arm whose base and markers are placed by these rows."""
 
     misfit: float  # median distance of the rows, as they are, from the arm, m
     spread: float  # median distance of the sightings from their middle, m

@@ -28,7 +28,7 @@ class Equations:
 
 
 class Kind(ABC):
-    """A kind of measurement."""
+    """A kind of measurement: it turns readings of one sensor into k equations of the tip."""
 
     name: ClassVar[str]  # in messages, and in `Bias.sees`
     cells: ClassVar[tuple[str, ...]]  # the c numbers of a reading, as columns of a file
@@ -119,7 +119,7 @@ class _Distance(Kind):
         return values[:, 0] <= 0, "above 0 (m)"
 
     def has_own_frame(self, arm: Arm) -> bool:
-        """Tell whether an anchor's place is declared; else the anchors' frame is the base."""
+        """Tell whether an anchor's place is declared; if none is, distances refer to the base."""
         return any(anchor.xyz_m is not None for anchor in arm.anchors.values())
 
     def equations(self, tip: TipMotion, values: np.ndarray, labels: _Labels) -> Equations:

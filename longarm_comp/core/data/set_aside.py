@@ -80,7 +80,7 @@ class SetAside:
         return f"{text}, which share {shared}" if shared else text
 
     def describe(self, session: Session) -> str:
-        """Return the summary, and the text `point` or else the index of each of the fitted rows."""
+        """Return the summary and a list of the rows, each by its label `point` or by its index."""
         numbers = session.labels.get("point", session.index)[list(self.rows)]
         return f"{self.summary}: {', '.join(map(str, numbers))}" if self.rows else self.summary
 

@@ -84,8 +84,7 @@ class _OfJoint(OfPosture):
         return 0 <= self.joint < arm.n
 
     def unit(self, arm: Arm) -> str:
-        slides = arm.joints[arm.commanded[self.joint] - 1].type == "prismatic"
-        return self.of_slide if slides else self.si
+        return self.of_slide if arm.slides[self.joint] else self.si
 
 
 class JointPosition(_OfJoint):

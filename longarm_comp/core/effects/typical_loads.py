@@ -75,7 +75,7 @@ def _rms(vector: Vec) -> float:
 
 
 def reach(arm: Arm) -> float:
-    """Sum of the rows' lengths (m), with each slide at full travel and the tip's distance added."""
+    """Return the sum of the rows' lengths and the tip's distance (m), slides at full travel."""
     total = 0.0
     for joint in arm.joints:
         if joint.pose is not None:

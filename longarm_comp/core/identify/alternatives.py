@@ -14,7 +14,7 @@ import numpy as np
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.candidates import Term
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_bounds, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.identify.posterior.found import FoundEffect, keys_of
 from longarm_comp.core.identify.posterior.offer import UNLIKELY
@@ -102,9 +102,7 @@ def _make_alternative(fit: ModelFit, change: _Change, chance: float) -> Alternat
     values = fit.model.values / prior_widths(fit.slots)
     data = fit.data - fit.design[:, fixed] @ values[fixed]
     design = np.concatenate([fit.design[:, stays], FitColumns(fit).white_columns(new)], axis=1)
-    lower = np.array([s.parameter.lower for s in slots]) / width
-    upper = np.array([s.parameter.upper for s in slots]) / width
-    fitted = linear.solve_products(design.T @ design, design.T @ data, lower, upper)
+    fitted = linear.solve_products(design.T @ design, design.T @ data, *prior_bounds(slots))
     covariance = fitted.covariance * np.outer(width, width)
     own = slice(len(kept), None)
     ways = np.linalg.solve(np.linalg.cholesky(covariance[own, own]), covariance[own])

@@ -9,7 +9,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.calibration.calibrate import declared_model, fit_stages
 from longarm_comp.core.calibration.candidates import list_candidates
-from longarm_comp.core.calibration.kind_of_arm import KindOfArm, fold_directions
+from longarm_comp.core.calibration.kind_of_arm import KindOfArm
 from longarm_comp.core.calibration.noise import noise_from_repeats
 from longarm_comp.core.calibration.plausible import (
     check_noise,
@@ -106,7 +106,7 @@ def diagnose(
     structure = find_structure(found.fit, proved.fits[CALIBRATED], tolerated)
     structure = with_scatter(with_left_out(structure, found.fit), found.fit)
     structure = with_held_out(structure, proved.fullest)
-    final = proved.final
+    final = proved.fits[proved.written]
     held = {t.key for t in final.model.terms}
     added = [t for t in found.chosen_terms if t.key in held]
     ends = compute_intervals(final, added, candidates)
@@ -115,7 +115,7 @@ def diagnose(
     network, proof = None, proved.proof
     if structure.flag and train_network is not None and final.session.has_position.any():
         say("network")
-        network, proof = proved.train_network(train_network, anew=test is None)
+        network, proof = proved.train_network(train_network)
     believed = mark_believed_rows(final, proved.held_out.take(proof.rows_at))
     at = {name: error[believed] for name, error in proof.errors.items()}
     before = "the declared arm" if model is None else "the model before"
@@ -130,28 +130,20 @@ def diagnose(
         if f.alternatives
     )
     diagnosis = Diagnosis(
+        **{**vars(proved), "proof": proof},
         arm=arm,
         model_given=model is not None,
-        search=found,
         findings=named,
         causes=without_name,
-        fits={name: fold_directions(fitted) for name, fitted in proved.fits.items()},
-        expected={name: float(each.mean()) for name, each in proved.expected.items() if len(each)},
-        written=proved.written,
-        failed=proved.failed,
         intervals=ends,
         structure=structure,
         set_aside=aside,
-        models=proved.models,
-        folds=proved.folds,
-        proof=proof,
         network=network,
         split_by=split_by,
         doubts=describe_doubts(found.fit, unnamed),
         next_q=propose_poses(found.fit, unnamed, POSES, seed),
         not_testable=offered.not_testable,
         train=train,
-        held_out=proved.held_out,
         seed=seed,
     )
     if diagnosis.verdict == "noise":

@@ -33,9 +33,9 @@ from longarm_comp.core.identify.findings import (
 )
 from longarm_comp.core.identify.gains import Gain
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import CREDIBLE, NONE
-from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS, Fold, Proof
+from longarm_comp.core.identify.proof import CALIBRATED, NETWORK, WITH_FUNCTIONS
+from longarm_comp.core.identify.proved_models import ProvedModels
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.model.model import Model
@@ -47,23 +47,17 @@ which an effect counts as found."""
 
 
 @dataclass(frozen=True)
-class Diagnosis:
-    """The result of a diagnosis: everything that was found, and how sure it is.
+class Diagnosis(ProvedModels):
+    """The result of a diagnosis: the proved models, what was found, and how sure it is.
 
     Attributes:
         arm: the declared arm.
         model_given: whether the model before was given; else it was that of the declared arm.
-        search, written, failed, models, folds, held_out: as in `ProvedModels`.
         findings: effects with a name, strongest first.
         causes: functions without a name, largest first.
-        fits: fits of the models calibrated, with_effects and (if there are functions)
-            with_functions, by name, to the same rows with the same noise.
-        expected: by these names, the mean error, m, that a command is expected to have; empty if no
-            held-out row tells the tip's position.
         intervals: intervals of the parameters of the model to use, by position in its slots.
         structure: the structure that is left in the residual.
         set_aside: rows that the fit of the model to use set aside as outliers.
-        proof: errors of all models at the rows that they were fitted without.
         network: the predictor of the residual; None if it does not help at held-out poses.
         split_by: for each finding with other names, the poses that would tell them apart.
         doubts: sentences on what the data do not tell about the functions.
@@ -75,26 +69,17 @@ class Diagnosis:
 
     arm: Arm
     model_given: bool
-    search: ExplainedSession
     findings: tuple[Finding, ...]
     causes: tuple[Cause, ...]
-    fits: Mapping[str, ModelFit]
-    expected: Mapping[str, float]
-    written: str
-    failed: str
     intervals: Mapping[int, Interval]
     structure: Structure
     set_aside: SetAside
-    models: Mapping[str, Model]
-    folds: tuple[Fold, ...]
-    proof: Proof
     network: Predictor | None
     split_by: tuple[SplittingPoses, ...]
     doubts: tuple[str, ...]
     next_q: np.ndarray
     not_testable: tuple[tuple[str, str], ...]
     train: Session
-    held_out: Session
     seed: int
 
     @cached_property

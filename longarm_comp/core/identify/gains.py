@@ -16,7 +16,7 @@ from scipy.special import stdtrit
 
 from longarm_comp.core.calibration import linear
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_bounds, prior_widths
 from longarm_comp.core.data.commanded import (
     as_commanded,
     commanded_errors,
@@ -143,8 +143,7 @@ def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     left = fitted.model.without(places)
     free = np.array([not s.owner.through_others and s.owner.key not in little for s in left.slots])
     kept = tuple(compress(left.slots, free))
-    scale, values = prior_widths(kept), np.array(left.values, dtype=float)
-    lower = np.array([s.parameter.lower for s in kept]) / scale
-    upper = np.array([s.parameter.upper for s in kept]) / scale
-    values[free] = linear.solve_posterior(marginal.a, marginal.y, lower, upper).u * scale
+    values = np.array(left.values, dtype=float)
+    found = linear.solve_posterior(marginal.a, marginal.y, *prior_bounds(kept))
+    values[free] = found.u * prior_widths(kept)
     return left.with_values(values)

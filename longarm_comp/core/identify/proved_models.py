@@ -37,14 +37,14 @@ class ProvedModels:
 
     Attributes:
         search: the search that found the effects.
-        fits: fits of the calibrated model and of fuller ones, by name, plainer ones first, to the
-            same rows with the same noise.
+        fits: fits of the models calibrated, with_effects and (if there are functions)
+            with_functions, by name, to the same rows with the same noise.
         models: nominal, frames_only and the models of `fits`, as files hold them.
         held_out: the rows of the proof.
         folds: the same models fitted without some rows; every held-out row is in one fold.
-        proof: their errors at these rows.
-        expected: by name of `fits`, the (M,) error, m, that a command is expected to have at each
-            row.
+        proof: their errors at these rows, and those with a network if there is one.
+        expected: by name of `fits`, the mean error, m, that a command is expected to have; empty if
+            no held-out row tells the tip's position.
         written: name of the model to write.
         failed: how a fuller model failed its proof; empty if none did.
     """
@@ -55,39 +55,34 @@ class ProvedModels:
     held_out: Session
     folds: tuple[Fold, ...]
     proof: Proof
-    expected: Mapping[str, np.ndarray]
+    expected: Mapping[str, float]
     written: str
     failed: str
-
-    @property
-    def final(self) -> ModelFit:
-        """The fit of the model to write."""
-        return fold_directions(self.fits[self.written])
 
     @property
     def fullest(self) -> list[tuple[ModelFit, Session]]:
         """The fit of the fullest model in each fold, and the rows of this fold."""
         return [(list(f.fits.values())[-1], f.rows) for f in self.folds]
 
-    def train_network(self, train: Train, anew: bool) -> tuple[Predictor | None, Proof]:
+    def train_network(self, train: Train) -> tuple[Predictor | None, Proof]:
         """Train a network on the residual of the model to write, and prove it.
+
+        If every row is held out once, one more network is trained for each fold, without its rows.
 
         Args:
             train: trains a predictor for a model on the rows to which it was fitted.
-            anew: whether to train one more network for each fold, without its rows; else the one
-                network is proved.
 
         Returns:
             The network, None if it does not help or `choose_written` prefers the model alone; and
             the proof, with the network's errors if there is a network.
         """
-        final = self.final
+        final = self.fits[self.written]
         network = train(final.model, final.session.take(final.weights > 0))
         if not network.gain.helps:
             return None, self.proof
 
         def train_on_fold(fold: Fold) -> tuple[Model, Predictor]:
-            if not anew:
+            if len(self.folds) == 1:
                 return final.model, network
             kept = fold.fits[self.written]
             return kept.model, train(kept.model, kept.session.take(kept.weights > 0))
@@ -121,10 +116,11 @@ def prove_written(
     """
     fits = _fit_written_models(staged["geometry"].model, search)
     frames_only = staged["frames_only"].model
+    folded = {name: fold_directions(fitted) for name, fitted in fits.items()}
     models = {
         "nominal": place_as_seen(nominal, search.fit.session)[0],
         "frames_only": frames_only,
-        **{name: fold_directions(fitted).model for name, fitted in fits.items()},
+        **{name: fitted.model for name, fitted in folded.items()},
     }
     if test is None:
         held_out, folds = _fit_folds(nominal, frames_only, fits, search, seed)
@@ -139,7 +135,8 @@ def prove_written(
     else:  # only orientations were measured
         turns = {name: proof.turns[name] for name in fits}
         choice = choose_written(turns, turns, proof.fold_of_turned, "mrad")
-    return ProvedModels(search, fits, models, held_out, folds, proof, expected, *choice)
+    means = {name: float(each.mean()) for name, each in expected.items() if len(each)}
+    return ProvedModels(search, folded, models, held_out, folds, proof, means, *choice)
 
 
 def choose_written(

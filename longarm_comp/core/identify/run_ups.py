@@ -40,8 +40,7 @@ def with_run_ups(session: Session, arm: Arm, run_up: float) -> Session:
 
     Slides move by the number times `SLIDE`, in m.
     """
-    slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
-    return session.with_run_ups(run_up * np.where(slides, SLIDE, 1.0))
+    return session.with_run_ups(run_up * np.where(arm.slides, SLIDE, 1.0))
 
 
 def with_fitted_run_ups(session: Session, model: Model) -> Session:
@@ -77,12 +76,12 @@ def find_run_up(
         return 0.0
     fitted = fit_model(model, rows(0.0))
     columns = FitColumns(fitted)
-    beside = columns.prior_columns(distinct_terms(candidates, {t.key for t in terms}))
+    others = columns.prior_columns(distinct_terms(candidates, {t.key for t in terms}))
     noise, weights = noise_from_residual(
-        fitted, np.concatenate([beside, columns.prior_columns(terms)], axis=-1)
+        fitted, np.concatenate([others, columns.prior_columns(terms)], axis=-1)
     )
     fitted = dataclasses.replace(fitted, sigma=noise.sigma, rho=noise.rho, weights=weights)
-    design = np.concatenate([fitted.design, fitted.whiten_columns(beside)], axis=1)
+    design = np.concatenate([fitted.design, fitted.whiten_columns(others)], axis=1)
     marginal, slots = Marginal(design, fitted.data), slots_of(fitted.model.arm, terms)
 
     def evidence(length: float) -> float:

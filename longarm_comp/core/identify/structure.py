@@ -98,7 +98,7 @@ def cause_probability(p_value: float) -> float:
     return float(expit(-NONE - 1.0 - math.log(p_value) - math.log(-math.log(p_value))))
 
 
-def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = None) -> Structure:
+def find_structure(fit: ModelFit, base: ModelFit, tolerated: np.ndarray | None = None) -> Structure:
     """Test whether the residual of a fit is a function of any input.
 
     Each group of columns is compared with what it leaves of the residual (F test), and the smallest
@@ -108,10 +108,10 @@ def find_structure(fit: ModelFit, base: ModelFit, beside: np.ndarray | None = No
     Args:
         fit: the fit with all that was found.
         base: the fit of the geometry alone, to the same rows and with the same noise.
-        beside: (m, k) whitened columns of the model tolerance, which count as no structure.
+        tolerated: (m, k) whitened columns of the model tolerance, which count as no structure.
     """
     tested = list_groups(fit)
-    design = fit.design if beside is None else np.concatenate([fit.design, beside], axis=1)
+    design = fit.design if tolerated is None else np.concatenate([fit.design, tolerated], axis=1)
     counts = (fit.session.measured & ~mark_exact_readings(fit))[fit.weights > 0].reshape(-1)
     marginal = Marginal(design * counts[:, None], fit.data * counts)
     residual = fit.whiten_columns(fit.residual[..., None])[:, 0]

@@ -62,7 +62,7 @@ class Stack:
         return self._of_gram(weights, gram)
 
     def _basis(self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor) -> Tensor:
-        """Return the Jacobian (M, N k, D+1), the residual last, times the root of each weight."""
+        """Return the Jacobian and residual as columns (M, N k, D+1), times the root of `row`."""
         basis = torch.cat((self.jacobian(weights, x), residual[..., None]), dim=3)
         return (basis * row[..., None, None].sqrt()).flatten(1, 2)
 
@@ -109,7 +109,7 @@ class TanhStack(Stack):
         return self._at(weights, x)  # no `vmap`, which takes longer than the network
 
     def _basis(self, weights: Tensor, x: Tensor, residual: Tensor, row: Tensor) -> Tensor:
-        """Return ``B`` (M, N, C+k), the residual last, each row times the root of its weight."""
+        """Return the C columns of ``B`` and the residual (M, N, C+k), times the root of `row`."""
         x1, root = _with_ones(x), row[..., None].sqrt()
         z = _units(self.shape.split(weights)[0], x1)
         slope = (x1[..., None] * ((1.0 - z * z) * root)[:, :, None]).flatten(2)

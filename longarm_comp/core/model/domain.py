@@ -1,4 +1,4 @@
-"""Where the rows of a fit stand among the joints, and how an error grows away from them.
+"""Computes how an error grows away from the joints at which the rows of a fit stand.
 
 What no parameter explains is taken for a smooth function of the joints: a Gaussian process, known
 at the rows (kriging; Matheron 1963, Econ. Geol. 58).  Its variance is small amid the rows, and

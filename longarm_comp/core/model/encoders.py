@@ -1,4 +1,4 @@
-"""What joint encoders see: the command, and the effects between command and encoder.
+"""Predicts joint encoders: the command, and the effects between command and encoder.
 
 A drive is a chain: servo, gear, arm (`Effect.acts`).  A motor's encoder sees what the servo does,
 one at the joint what the gear does too.  An effect displaces a joint by its twist about or along

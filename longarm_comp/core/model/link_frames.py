@@ -38,9 +38,8 @@ def reach(model: Model) -> tuple[np.ndarray, float]:
     """
     arm = model.arm
     line = outline(model, arm.mid)
-    slides = [arm.joints[row - 1].type == "prismatic" for row in arm.commanded]
     length = np.linalg.norm(np.diff(line, axis=0), axis=1).sum()
-    return line[0], float(length + (arm.upper - arm.lower)[slides].sum())
+    return line[0], float(length + (arm.upper - arm.lower)[arm.slides].sum())
 
 
 def exaggerate_sag(hanging: np.ndarray, declared: np.ndarray, factor: float) -> np.ndarray:

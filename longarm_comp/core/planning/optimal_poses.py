@@ -264,7 +264,7 @@ class Choice:
 
 @dataclass(frozen=True, eq=False)
 class _Known:
-    """What is known after some poses; one pose more is an update of rank d."""
+    """The uncertainty that is left after some poses; one pose more is an update of rank d."""
 
     choice: Choice  # the poses
     covariance: np.ndarray  # (p, p) C

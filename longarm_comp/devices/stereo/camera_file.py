@@ -8,7 +8,6 @@ import numpy as np
 import yaml
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_text
 from longarm_comp.core.strict_yaml import read_yaml
 from longarm_comp.devices.camera_info import CameraInfo
 from longarm_comp.devices.stereo.camera import Camera, StereoRig, check_distortion
@@ -78,13 +77,8 @@ def calibration_of(rig: StereoRig) -> tuple[CameraInfo, CameraInfo]:
     return of(left, r_left, p_left), of(right, r_right, p_right)
 
 
-def write_camera(path: Path, name: str, camera: CameraInfo, head: str) -> None:
-    """Write a camera's calibration to a file; ``head``: comment at its top."""
-    write_text(path, camera_text(name, camera, head))
-
-
-def camera_text(name: str, camera: CameraInfo, head: str) -> str:
-    """Return the text of a camera's file."""
+def camera_text(name: str, camera: CameraInfo, head: str = "") -> str:
+    """Return the text of a file with a camera's calibration; ``head``: comment at its top."""
     data: dict[str, Any] = {
         "image_width": camera.width,
         "image_height": camera.height,
@@ -99,7 +93,7 @@ def camera_text(name: str, camera: CameraInfo, head: str) -> str:
 
 
 def read_camera(path: Path) -> CameraInfo:
-    """Read a file of `write_camera`. Raises InputError for an entry that is missing or wrong."""
+    """Read a camera's calibration. Raises InputError for an entry that is missing or wrong."""
     data = read_yaml(path)
     values: dict[str, tuple[float, ...]] = {}
     for key, (field, rows, columns) in _MATRICES.items():

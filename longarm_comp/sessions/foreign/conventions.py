@@ -20,7 +20,7 @@ _CLEAR = 2.0
 
 @dataclass(frozen=True)
 class Conventions:
-    """How well each convention fits an arm.
+    """The misfit of each convention of rotations to an arm.
 
     Attributes:
         errors: mean angle (rad) between the arm's tip and the measured orientations, by

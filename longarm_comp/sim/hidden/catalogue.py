@@ -152,8 +152,8 @@ def moved_tip(
     """Return the tip (N, 3), m, with one effect.
 
     Args:
-        sound: (N, 3) m, the tip without it; not used here, but by others in the place of this
-            function (``seen`` of `scale_to_size`).
+        sound: (N, 3) m, the tip without it. This function does not need it; another one given to
+            `scale_to_size` as ``seen`` may.
     """
     return TrueArm(arm, [effect], steps=QUICK_STEPS).tip(poses, context)
 

@@ -155,7 +155,7 @@ class ServoDroop(JointCompliance):
 
 @dataclass(frozen=True)
 class CoggingBump(HiddenEffect):
-    """Outside every library: joint `joint` is off by up to `height` (rad) near one angle."""
+    """A joint is off by up to `height` (rad) near one angle. No library has this effect."""
 
     doses = ("height",)
     joint: int
@@ -172,7 +172,7 @@ class CoggingBump(HiddenEffect):
 
 @dataclass(frozen=True)
 class CableDrag(HiddenEffect):
-    """Outside every library: a cable pulls `joint` round as two other joints wind it up together.
+    """A cable pulls `joint` round as two others wind it up together. No library has this effect.
 
     The pull is `pull` (rad) times the product of both joints' places in their ranges, -1 to 1.
     """

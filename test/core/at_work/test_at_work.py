@@ -56,7 +56,8 @@ def test_the_change_of_a_loosely_known_parameter_is_the_whole_of_it() -> None:
     (change,) = explained.branches[0].changes
     before = dict(zip(space.own(space.keys.index(change.key)), change.before, strict=True))
     assert before[own] == pytest.approx(was, abs=0.05 * width)
-    assert explained.branches[0].known.expected[own] == pytest.approx(was + width, abs=0.1 * width)
+    now = explained.branches[0].known.expected_values[own]
+    assert now == pytest.approx(was + width, abs=0.1 * width)
 
 
 def test_a_jump_at_any_time_is_what_a_whole_regression_gives() -> None:
@@ -216,7 +217,7 @@ def test_what_no_effect_explains_is_handed_over() -> None:
     assert learner.unexplained and learner.named == ()
     later = work.learned(learner, 5, noise=12.0)
     assert np.array_equal(later.model.values, learner.model.values)
-    assert np.trace(later.record.structure) > 9.0 * np.trace(later.given.structure)
+    assert np.trace(later.uncertainty.structure) > 9.0 * np.trace(later.prior.structure)
 
 
 def test_frozen_undone_and_learning_again() -> None:

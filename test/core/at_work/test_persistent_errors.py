@@ -86,7 +86,8 @@ def test_sag_of_a_load_that_no_row_had_is_no_payload_at_the_others() -> None:
     for kg in (0.1, 0.3, 0.5):
         assert off_at(learner.model, kg) < 1.5e-4
     assert learner.known is not None
-    assert 0.6 < abs(learner.known.branches[0].known.beside[4]) < 0.9  # of its standard deviation
+    known = learner.known.branches[0].known
+    assert 0.6 < abs(known.mean[len(known.space) + 4]) < 0.9  # of its standard deviation
 
 
 def test_a_payload_known_to_a_tenth_is_no_change_of_the_arm_and_the_next_one_errs_anew() -> None:
@@ -148,9 +149,8 @@ def test_shared_errors_are_as_in_a_whole_regression() -> None:
         found = whole.T @ np.linalg.solve(whole @ whole.T + np.eye(len(y)), data)
         return np.append(root @ found[:6], found[prior][6:])
 
-    np.testing.assert_allclose(
-        np.append((known.mean - at)[active], known.beside), solved(y), atol=1e-8
-    )
+    found = known.mean - np.append(at, np.zeros(2))
+    np.testing.assert_allclose(found[known.active], solved(y), atol=1e-8)
     places, jump, _ = known._describe_jump(2, 0)
     mean, uncertain, covariance = known._moments_over({(2, 0): 1.0})
     expected = solved(y - np.concatenate(jumps)[:, places] @ jump)
@@ -159,5 +159,6 @@ def test_shared_errors_are_as_in_a_whole_regression() -> None:
     np.testing.assert_allclose(mean[np.append(active, len(at) + np.arange(2))], expected, atol=1e-8)
     given = known.given_change(0)  # keeps what is known of them
     assert (np.diag(given.covariance)[uncertain >= len(at)] < 1.0).all()
-    assert given.beside.any() and len(given.beside) == given.common == 2
+    own = given.mean[len(space) :]
+    assert own.any() and len(own) == given.common == 2
     assert np.linalg.eigvalsh(covariance).min() > 0

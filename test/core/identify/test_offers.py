@@ -101,7 +101,8 @@ def test_an_offer_pays_for_its_form_and_keeps_to_its_bounds() -> None:
     bank = make_offers(fitted, tried, (), (), [ModelTolerance(0.01, False)])[0].bank
     assert bank.offers[0].log_prior == pytest.approx(math.log(0.95 / 2) - odd.price(DEMO))
     (k,) = bank.offers[1].column_numbers
-    assert (bank.lower[k], bank.upper[k]) == (pytest.approx(-0.2), pytest.approx(0.4))
+    of = bank.coefficients
+    assert (of.lower[k], of.upper[k]) == (pytest.approx(-0.2), pytest.approx(0.4))
 
 
 def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
@@ -275,7 +276,7 @@ def test_what_a_larger_error_of_a_form_explains_is_in_doubt() -> None:
     fitted, found = planted()
     narrow = make_offers(fitted, (), (), (found,), [ModelTolerance(0.01, False)])[0]
     of = narrow.bank
-    blind = OfferBank(of.offers, 0 * of.gram, 0 * of.along, of.lower, of.upper)
+    blind = OfferBank(of.offers, 0 * of.gram, 0 * of.along, of.coefficients)
     wide = dataclasses.replace(narrow, bank=blind, base=narrow.evidence_of_known - 1.0)
     ((alone,), _) = narrow.judge_found((found,), [narrow])
     ((doubted,), _) = narrow.judge_found((found,), [narrow, wide])

@@ -25,6 +25,7 @@ from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
+from longarm_comp.core.identify.posterior.offer_table import Coefficients
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
@@ -32,7 +33,8 @@ UNBOUND = np.full(9, np.inf)
 
 
 def bank(y: np.ndarray, x: np.ndarray, offers: list[Offer], upper: np.ndarray) -> OfferBank:
-    return OfferBank(offers, x.T @ x, x.T @ y, -UNBOUND[: x.shape[1]], upper)
+    own = Coefficients(-UNBOUND[: x.shape[1]], upper, np.arange(x.shape[1]))
+    return OfferBank(offers, x.T @ x, x.T @ y, own)
 
 
 def single(name: str, column: int, **more: object) -> Offer:
@@ -116,8 +118,8 @@ def test_coefficients_that_are_like_each_other_have_the_evidence_of_their_prior(
     likeness = np.array([[1.0, ALIKE], [ALIKE, 1.0]])
 
     def of(lower: float) -> OfferBank:
-        bounds = np.full(2, lower), UNBOUND[:2]
-        return OfferBank([offer], x.T @ x, x.T @ y, *bounds, like=np.zeros(2, dtype=int))
+        alike = Coefficients(np.full(2, lower), UNBOUND[:2], np.zeros(2, dtype=int))
+        return OfferBank([offer], x.T @ x, x.T @ y, alike)
 
     spread = np.eye(n) + x @ likeness @ x.T
     plain = 0.5 * (y @ y - y @ np.linalg.solve(spread, y) - np.linalg.slogdet(spread)[1]) - NONE
@@ -144,8 +146,8 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
         single("no name", k, keys=(k,), site=site, log_prior=math.log(UNNAMED / 30))
         for k, site in enumerate(("joint 1", "joint 1", "joint 2"))
     ]
-    bounds = -UNBOUND[:3], UNBOUND[:3]
-    of = OfferBank(offers, x.T @ x, x.T @ y, *bounds, sites=3)
+    own = Coefficients(-UNBOUND[:3], UNBOUND[:3], np.arange(3))
+    of = OfferBank(offers, x.T @ x, x.T @ y, own, sites=3)
     alone = of.evidence(offers[:1]) - (offers[0].log_prior - NONE)
     elsewhere = of.evidence(offers[::2]) - of.evidence(offers[2:])
     there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
@@ -295,10 +297,10 @@ def test_noise_is_none(columns: np.ndarray) -> None:
 def test_one_form_at_a_place(columns: np.ndarray) -> None:
     """What one effect holds is not on offer to another: a family goes without that place."""
     whole = Offer("a", ("one", "two", "three"), ((0,), (1,), (2,)), 0.0)
-    left = whole.beside(frozenset({"two"}))
+    left = whole.free_part(frozenset({"two"}))
     assert left is not None and left.keys == ("one", "three") and left.column_numbers == (0, 2)
-    assert whole.beside(frozenset({"one", "two"})) is None
-    assert whole.beside(frozenset({"four"})) is whole
+    assert whole.free_part(frozenset({"one", "two"})) is None
+    assert whole.free_part(frozenset({"four"})) is whole
 
 
 def test_no_second_effect_takes_a_place_that_is_held(across: np.ndarray) -> None:

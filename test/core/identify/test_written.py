@@ -24,7 +24,7 @@ from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
-from longarm_comp.core.identify.proved_models import ProvedModels, choose_written
+from longarm_comp.core.identify.proved_models import choose_written
 from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
@@ -161,12 +161,9 @@ def test_a_network_is_kept_where_held_out_rows_err_less(
 ) -> None:
     """It says a share of what the model leaves at these rows, on average."""
     d = stopped.diagnosis
-    proved = ProvedModels(
-        d.search, d.fits, d.models, d.held_out, d.folds, d.proof, {}, d.written, ""
-    )
     left = share * d.proof.errors[d.written].mean(axis=0)
     says: Any = SaysAlways((float(left[0]), float(left[1]), float(left[2])))
-    network, proof = proved.train_network(lambda model, rows: says, anew=True)
+    network, proof = d.train_network(lambda model, rows: says)
     assert (network is says, NETWORK in proof.errors) == (kept, kept)
 
 

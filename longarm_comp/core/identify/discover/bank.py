@@ -91,8 +91,8 @@ class FunctionBank:
             kinds.setdefault((place.at, kind), []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
         arm = fit.model.arm
-        slides = ((row, arm.joints[row - 1].type == "prismatic") for row in arm.commanded)
-        own = [Spot(f"joint {row}", "move z" if slide else "turn z") for row, slide in slides]
+        each = zip(arm.commanded, arm.slides, strict=True)
+        own = [Spot(f"joint {row}", "move z" if slides else "turn z") for row, slides in each]
         moving = self._number.keys() >= set(own)  # each joint along its own axis
         self._axes = [self._number[spot] for spot in own] if moving else []
         self._single = [g for g in functions.groups if len(g.functions) == 1]
@@ -250,9 +250,9 @@ class FunctionBank:
         return FunctionCandidate(named, decay, self._log_prior(group))
 
     def _log_prior(self, group: FunctionGroup) -> float:
-        """Return the log prior of a group of functions at one component.
+        """Return the log prior of a group of functions at one component of a twist.
 
-        Half of the probability of a family is for single components, half for all three axes.
+        A family gives half of its probability to single components, half to all three axes.
         """
         if group.family is FunctionFamily.OWN_JOINT:
             return -math.log(len(FunctionFamily) * len(self.functions.own_joint))

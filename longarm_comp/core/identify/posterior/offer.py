@@ -49,7 +49,7 @@ class Offer:
         """The numbers of all its columns."""
         return tuple(k for own in self.columns for k in own)
 
-    def beside(self, held: frozenset[Hashable]) -> Offer | None:
+    def free_part(self, held: frozenset[Hashable]) -> Offer | None:
         """Return the offer without the places in `held`; None if fewer than two of them are left.
 
         An offer that loses no place is returned unchanged. A single place of several is an offer of

@@ -11,16 +11,14 @@ from longarm_comp.core.identify.posterior.found import NONE
 from longarm_comp.core.identify.posterior.offer import Offer
 
 
-class Products(NamedTuple):
-    """Products of K columns with the geometry projected out, and limits of their coefficients.
+class Coefficients(NamedTuple):
+    """The coefficients of K columns, as they are known beforehand.
 
     Attributes:
-        gram: (K, K) products of the columns with each other.
-        lower, upper: (K,) bounds of the coefficients, in units of the columns.
+        lower, upper: (K,) their bounds, in units of the columns.
         like: (K,) group numbers; the coefficients of one group are correlated beforehand.
     """
 
-    gram: np.ndarray
     lower: np.ndarray
     upper: np.ndarray
     like: np.ndarray
@@ -36,9 +34,11 @@ class OfferTable:
         numbers: (R,) the offers' numbers in their bank.
     """
 
-    def __init__(self, of: Products, numbered: Mapping[int, Offer]) -> None:
+    def __init__(self, gram: np.ndarray, of: Coefficients, numbered: Mapping[int, Offer]) -> None:
+        """Make the table of offers, by number, from the projected products `gram` (K, K)."""
         self.numbers, offers = np.array(list(numbered), dtype=int), list(numbered.values())
-        self._of, most = of, max((len(offer.sizes) for offer in offers), default=1)
+        self._gram, self._of = gram, of
+        most = max((len(offer.sizes) for offer in offers), default=1)
         counts = np.array([len(offer.column_numbers) for offer in offers], dtype=int)
         self._starts, r = np.cumsum(counts) - counts, len(offers)
         self._row = np.repeat(np.arange(r), counts)
@@ -52,7 +52,7 @@ class OfferTable:
             self._odds[n, : len(offer.sizes)] = offer.chances
             if offer.fixed:
                 own = list(offer.column_numbers)
-                self._price[n] -= 0.5 * of.gram[np.ix_(own, own)].sum()
+                self._price[n] -= 0.5 * gram[np.ix_(own, own)].sum()
         fixed = np.array([offer.fixed for offer in offers], dtype=bool)
         self._fixed = fixed[self._row].astype(float)
         ends = np.cumsum(counts**2)
@@ -91,7 +91,7 @@ class OfferTable:
             The rotation (g, c, c) of each offer's coefficients.
         """
         of, places = self._of, self._columns[own]
-        s = of.gram[places[:, :, None], places[:, None, :]]
+        s = self._gram[places[:, :, None], places[:, None, :]]
         root = prior_root(of.like[places])
         turned = np.swapaxes(root, -2, -1) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
         values, turn = np.linalg.eigh(turned)
@@ -139,4 +139,4 @@ class OfferTable:
         shrunk, chance = found
         mean = self._turn @ (shrunk * chance[self._row]).sum(axis=1)
         mean = np.clip(mean, self._lower, self._upper) + self._fixed
-        return np.bincount(self._columns, q[self._row] * mean, minlength=len(self._of.gram))
+        return np.bincount(self._columns, q[self._row] * mean, minlength=len(self._gram))

@@ -240,7 +240,7 @@ class OfferedEffects:
         for n, whole in enumerate(self.bank.offers):
             named = self.candidates[n].terms[0].searched and whole.name != offers[k].name
             rest = [o for o in others if not named or o.name != whole.name]
-            offer = whole.beside(frozenset(key for o in rest for key in o.keys))
+            offer = whole.free_part(frozenset(key for o in rest for key in o.keys))
             if offer is None:
                 continue
             places = list(offer.column_numbers)
@@ -348,7 +348,7 @@ class OfferedEffects:
 
     @cached_property
     def _first_number(self) -> dict[str, int]:
-        """For each name, the number of the first candidate that has it."""
+        """The number of the first candidate of each name."""
         return {c.name: n for n, c in reversed(list(enumerate(self.candidates)))}
 
     @cached_property

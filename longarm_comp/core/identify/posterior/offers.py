@@ -19,7 +19,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.candidates import Candidate, Term, distinct_terms, list_variants
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import CHANCES, SIZES, Marginal, marginalise_first
-from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, prior_bounds, prior_widths
 from longarm_comp.core.calibration.plausible import INCREDIBLE
 from longarm_comp.core.identify.model_tolerance import ModelTolerance, background_columns
 from longarm_comp.core.identify.posterior.found import (
@@ -30,6 +30,7 @@ from longarm_comp.core.identify.posterior.found import (
     keys_of,
 )
 from longarm_comp.core.identify.posterior.offer import Offer
+from longarm_comp.core.identify.posterior.offer_table import Coefficients
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.identify.structure import legendre_polynomials
@@ -63,25 +64,26 @@ def make_offers(
             computed. Default: `fitted`.
         counts: (N,) how often each row counts; None: once.
     """
-    listed = _list_with_prices(fitted.model.arm, library, functions, found)
+    arm = fitted.model.arm
+    listed = _list_with_prices(arm, library, functions, found)
     if not others:
-        kept = {list_variants(f.terms) for f in found}
-        listed = [entry for entry in listed if list_variants(entry[0].terms) in kept]
-    raw = _stack_columns(fitted, listed)
+        now = {list_variants(f.terms) for f in found}
+        listed = [each for each in listed if list_variants(each.candidate.terms) in now]
+    stacked = _stack_columns(fitted, listed)
     marginal = FitColumns(fitted).marginal_without(keys_of(found))
-    beside, sizes = _besides_findings(fitted, library, found, tolerances, near)
-    columns = np.concatenate([beside, raw.b], axis=1)
+    tolerated, sizes = _list_tolerance_columns(fitted, library, found, tolerances, near)
+    columns = np.concatenate([tolerated, stacked.b], axis=1)
     if counts is not None:
         root = np.sqrt(np.repeat(counts[fitted.weights > 0], fitted.width))
         marginal = Marginal(root[:, None] * marginal.a, root * marginal.y)
         columns = root[:, None] * columns
     gram, along = marginal.project_products(columns)
-    own = gram[beside.shape[1] :, beside.shape[1] :]
-    moving, plain = _make_offers_that_move(fitted.model.arm, np.diag(own), raw, listed)
-    every = OfferBank(plain, own, along[beside.shape[1] :], raw.lower, raw.upper)
-    free = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
-    things, plain = [listed[moving[n]][0] for n in free], [plain[n] for n in free]
-    at = {list_variants(c.terms): n for n, c in enumerate(things)}
+    own = slice(tolerated.shape[1], None)
+    moving, plain = _make_offers_that_move(arm, np.diag(gram)[own], stacked, listed)
+    every = OfferBank(plain, gram[own, own], along[own], stacked.coefficients)
+    kept = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
+    candidates, plain = [listed[moving[n]].candidate for n in kept], [plain[n] for n in kept]
+    at = {list_variants(c.terms): n for n, c in enumerate(candidates)}
     known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
     names = len({c.name for c in library})
     banks = []
@@ -90,18 +92,23 @@ def make_offers(
         share = min(tolerance.compliance, 1.0) or 1.0  # the stiffer the arm, the smaller
         offers = [
             dataclasses.replace(offer, sizes=tuple(share * s for s in offer.sizes))
-            if thing.terms[0].elastic and not offer.fixed
+            if candidate.terms[0].elastic and not offer.fixed
             else offer
-            for offer, thing in zip(plain, things, strict=True)
+            for offer, candidate in zip(plain, candidates, strict=True)
         ]
-        bank = OfferBank(offers, s, t, raw.lower, raw.upper, raw.like, fitted.model.arm.n, names)
-        base = marginal.evidence + evidence + tolerance.log_prior
-        banks.append(OfferedEffects(fitted, things, bank, raw.widths, known, base, tolerance))
+        bank = OfferBank(offers, s, t, stacked.coefficients, arm.n, names)
+        base, widths = marginal.evidence + evidence + tolerance.log_prior, stacked.widths
+        banks.append(OfferedEffects(fitted, candidates, bank, widths, known, base, tolerance))
     return banks
 
 
-_Listed = tuple[Candidate, float, tuple[float, ...], tuple[float, ...]]
-"""A candidate, and the log prior, sizes and chances of its offer (see `Offer`)."""
+class _Listed(NamedTuple):
+    """A candidate, and the log prior, sizes and chances of its `Offer`."""
+
+    candidate: Candidate
+    log_prior: float
+    sizes: tuple[float, ...] = (1.0,)
+    chances: tuple[float, ...] = (0.0,)
 
 
 def _list_with_prices(
@@ -117,23 +124,24 @@ def _list_with_prices(
     for candidate in library:
         price = sum(t.price(arm) for t in candidate.terms)
         prior = share - math.log(forms[candidate.name]) - price
-        listed.append((candidate, prior, SIZES, CHANCES))
+        listed.append(_Listed(candidate, prior, SIZES, CHANCES))
     even = (-math.log(len(AMPLITUDES)),) * len(AMPLITUDES)
     for function in functions:
-        thing = Candidate(function.terms[0].name, function.terms)
-        listed.append((thing, math.log(UNNAMED) + function.log_prior, AMPLITUDES, even))
-    offered_now = {list_variants(c.terms) for c, _, _, _ in listed}
+        candidate = Candidate(function.terms[0].name, function.terms)
+        prior = math.log(UNNAMED) + function.log_prior
+        listed.append(_Listed(candidate, prior, AMPLITUDES, even))
+    offered_now = {list_variants(each.candidate.terms) for each in listed}
     for f in found:
         if list_variants(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
             prior = prior if f.log_prior is None else f.log_prior
             sizes = (AMPLITUDES, even) if f.unnamed and not f.loose else (SIZES, CHANCES)
-            listed.append((Candidate(f.name, f.terms), prior, *sizes))
+            listed.append(_Listed(Candidate(f.name, f.terms), prior, *sizes))
     return listed
 
 
 def _make_offers_that_move(
-    arm: Arm, squares: np.ndarray, raw: _StackedColumns, listed: Sequence[_Listed]
+    arm: Arm, squares: np.ndarray, stacked: _StackedColumns, listed: Sequence[_Listed]
 ) -> tuple[list[int], list[Offer]]:
     """Return the candidates that move a row, by their positions in `listed`, and their offers.
 
@@ -141,7 +149,7 @@ def _make_offers_that_move(
     """
     offers, kept = [], []
     for n, (candidate, prior, sizes, chances) in enumerate(listed):
-        own = tuple(raw.where[t.variant] for t in candidate.terms)
+        own = tuple(stacked.where[t.variant] for t in candidate.terms)
         flat = [k for part in own for k in part]
         if not flat or not np.isfinite(squares[flat]).all() or not squares[flat].any():
             continue
@@ -162,14 +170,13 @@ def evidence_of_each(fitted: ModelFit, marginal: Marginal, each: Sequence[Candid
     Its price (`Effect.price`) is subtracted. A candidate that moves no row has 0. `marginal` holds
     the columns that are in the model already.
     """
-    listed = [
-        (c, NONE - sum(t.price(fitted.model.arm) for t in c.terms), (1.0,), (0.0,)) for c in each
-    ]
-    raw = _stack_columns(fitted, listed)
-    gram, along = marginal.project_products(raw.b)
-    kept, offers = _make_offers_that_move(fitted.model.arm, np.diag(gram), raw, listed)
+    arm = fitted.model.arm
+    listed = [_Listed(c, NONE - sum(t.price(arm) for t in c.terms)) for c in each]
+    stacked = _stack_columns(fitted, listed)
+    gram, along = marginal.project_products(stacked.b)
+    moving, offers = _make_offers_that_move(arm, np.diag(gram), stacked, listed)
     made = np.zeros(len(listed))
-    made[kept] = OfferBank(offers, gram, along, raw.lower, raw.upper, raw.like).scores
+    made[moving] = OfferBank(offers, gram, along, stacked.coefficients).scores
     return made
 
 
@@ -183,11 +190,11 @@ def tolerance_columns(
 
     They are what may move the rows besides the findings.
     """
-    made, (sizes,) = _besides_findings(fitted, library, found, [tolerance])
+    made, (sizes,) = _list_tolerance_columns(fitted, library, found, [tolerance])
     return (made * sizes)[:, sizes > 0]
 
 
-def _besides_findings(
+def _list_tolerance_columns(
     fitted: ModelFit,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
@@ -281,17 +288,14 @@ class _StackedColumns(NamedTuple):
     Attributes:
         b: (m, k) columns in units of the noise.
         where: positions of a term's columns, by its variant.
-        lower, upper: (k,) bounds of the coefficients, in units of the columns.
-        widths: (k,) these units: a parameter's value is its coefficient times this.
-        like: (k,) group numbers; the coefficients of one group are correlated beforehand.
+        widths: (k,) units of the columns: a parameter's value is its coefficient times this.
+        coefficients: the coefficients of the columns.
     """
 
     b: np.ndarray
     where: dict[tuple[object, ...], tuple[int, ...]]
-    lower: np.ndarray
-    upper: np.ndarray
     widths: np.ndarray
-    like: np.ndarray
+    coefficients: Coefficients
 
 
 def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColumns:
@@ -299,7 +303,7 @@ def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColum
 
     A term without parameters has one column, its shift.
     """
-    terms = list({t.variant: t for c, _, _, _ in listed for t in c.terms}.values())
+    terms = list({t.variant: t for each in listed for t in each.candidate.terms}.values())
     slots = slots_of(fitted.model.arm, terms)
     of_term: dict[int, list[int]] = {}
     for k, slot in enumerate(slots):
@@ -310,6 +314,7 @@ def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColum
     whole = [term for t, term in enumerate(terms) if t not in of_term]
     where |= {term.variant: (len(slots) + k,) for k, term in enumerate(whole)}
     shifts = [fitted.whiten_columns(columns.shift_by([term])[..., None]) for term in whole]
+    lower, upper = prior_bounds(slots)
     most = np.array([INCREDIBLE if s.owner.searched else np.inf for s in slots])
     free = np.full(len(whole), np.inf)
     first: dict[object, int] = {}
@@ -320,10 +325,10 @@ def _stack_columns(fitted: ModelFit, listed: Sequence[_Listed]) -> _StackedColum
     return _StackedColumns(
         b=np.concatenate([columns.white_columns([terms[t] for t in of_term]), *shifts], axis=1),
         where=where,
-        lower=np.concatenate(
-            [np.maximum([s.parameter.lower for s in slots] / widths, -most), -free]
-        ),
-        upper=np.concatenate([np.minimum([s.parameter.upper for s in slots] / widths, most), free]),
         widths=np.concatenate([widths, np.ones(len(whole))]),
-        like=np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
+        coefficients=Coefficients(
+            np.concatenate([np.maximum(lower, -most), -free]),
+            np.concatenate([np.minimum(upper, most), free]),
+            np.array([*like, *range(len(slots), len(slots) + len(whole))], dtype=int),
+        ),
     )

@@ -22,13 +22,13 @@ from longarm_comp.core.calibration.linear import choose_sizes, log_mass, log_pri
 from longarm_comp.core.identify.model_tolerance import FORM_KNOWN_WITHIN
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
-from longarm_comp.core.identify.posterior.offer_table import OfferTable, Products
+from longarm_comp.core.identify.posterior.offer_table import Coefficients, OfferTable
 
 
-class _Beside(NamedTuple):
+class _Reduced(NamedTuple):
     """The offers that lose places to other effects."""
 
-    taken: np.ndarray  # their numbers
+    numbers: np.ndarray
     left: dict[int, Offer]  # what is left of them, by number, if at least two places are
     table: OfferTable  # of `left`
 
@@ -40,9 +40,7 @@ class OfferBank:
         offers: the C offers.
         gram: (K, K) products of the columns, projected off the geometry.
         along: (K,) products of the projected columns with the data.
-        lower, upper: (K,) bounds of the coefficients.
-        like: (K,) group numbers; the coefficients of one group are correlated beforehand. None: all
-            are independent.
+        coefficients: the coefficients of the columns.
         sites: number of places at which a cause without a name may act.
         names: number of names that an effect may have, on offer or not; None: those on offer.
 
@@ -60,34 +58,26 @@ class OfferBank:
         offers: Sequence[Offer],
         gram: np.ndarray,
         along: np.ndarray,
-        lower: np.ndarray,
-        upper: np.ndarray,
-        like: np.ndarray | None = None,
+        coefficients: Coefficients,
         sites: int = 1,
         names: int | None = None,
     ) -> None:
         self.offers = tuple(offers)
-        self.like = np.arange(len(along)) if like is None else like
-        self.gram, self.along, self.lower, self.upper = gram, along, lower, upper
+        self.gram, self.along, self.coefficients = gram, along, coefficients
         each = np.array([offer.name for offer in offers])
         self._of_name = {name: each == name for name in set(each.tolist())}
         self.again = math.log(max(0.5 * (names or len(self._of_name)), 1.0))
         self.together = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
         sites_of = np.array([offer.site for offer in offers])
         self._at_site = {site: sites_of == site for site in set(sites_of.tolist())}
-        # By the places that other effects take: what is left of the offers. Many sets of places
-        # leave the same, so most of them share their table.
-        self._beside: dict[frozenset[Hashable], _Beside] = {}
+        # By the places that other effects take; most of these leave the same of the offers
+        self._reduced: dict[frozenset[Hashable], _Reduced] = {}
         self._table_of_left: dict[Hashable, OfferTable] = {}
         self._evidences: dict[tuple[Offer, ...], float] = {}
 
     @cached_property
-    def _products(self) -> Products:
-        return Products(self.gram, self.lower, self.upper, self.like)
-
-    @cached_property
     def _table(self) -> OfferTable:
-        return OfferTable(self._products, dict(enumerate(self.offers)))
+        return OfferTable(self.gram, self.coefficients, dict(enumerate(self.offers)))
 
     def has_a_name(self, offer: Offer) -> bool:
         """Tell whether an offer is a function without a name that moves the rows as a named effect.
@@ -113,11 +103,11 @@ class OfferBank:
 
         The products of the columns with this residual are `along` (K,).
         """
-        beside = self._beside_places(others.held)
+        reduced = self._reduce_offers(others.held)
         scores, whole = self._table.score_offers(along)
-        scores[beside.taken] = -np.inf
-        if beside.left:
-            scores[beside.table.numbers], rest = beside.table.score_offers(along)
+        scores[reduced.numbers] = -np.inf
+        if reduced.left:
+            scores[reduced.table.numbers], rest = reduced.table.score_offers(along)
         scores[list(others.shut)] = -np.inf
         for name in others.names:
             scores[self._of_name[name]] += self.again
@@ -127,11 +117,11 @@ class OfferBank:
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
         untouched = q.copy()
-        untouched[beside.taken] = 0.0
+        untouched[reduced.numbers] = 0.0
         mean = self._table.mean_coefficients(whole, untouched)
-        if beside.left:
-            mean = mean + beside.table.mean_coefficients(rest, q[beside.table.numbers])
-        return SingleEffect(self.offers, q, mean, beside.left)
+        if reduced.left:
+            mean = mean + reduced.table.mean_coefficients(rest, q[reduced.table.numbers])
+        return SingleEffect(self.offers, q, mean, reduced.left)
 
     @cached_property
     def _numbers_at(self) -> dict[Hashable, list[int]]:
@@ -142,18 +132,18 @@ class OfferBank:
                 made.setdefault(key, []).append(n)
         return made
 
-    def _beside_places(self, held: frozenset[Hashable]) -> _Beside:
+    def _reduce_offers(self, held: frozenset[Hashable]) -> _Reduced:
         """Return what is left of the offers if other effects take the places `held`."""
-        if held not in self._beside:
-            taken = sorted({n for key in held for n in self._numbers_at.get(key, ())})
-            several = [n for n in taken if len(self.offers[n].keys) > 2]  # one or none is left of 2
-            rest = {n: self.offers[n].beside(held) for n in several}
+        if held not in self._reduced:
+            numbers = sorted({n for key in held for n in self._numbers_at.get(key, ())})
+            several = [n for n in numbers if len(self.offers[n].keys) > 2]  # 1 or 0 is left of 2
+            rest = {n: self.offers[n].free_part(held) for n in several}
             left = {n: offer for n, offer in rest.items() if offer is not None}
             kept = tuple((n, offer.keys) for n, offer in left.items())
             if kept not in self._table_of_left:
-                self._table_of_left[kept] = OfferTable(self._products, left)
-            self._beside[held] = _Beside(np.array(taken, int), left, self._table_of_left[kept])
-        return self._beside[held]
+                self._table_of_left[kept] = OfferTable(self.gram, self.coefficients, left)
+            self._reduced[held] = _Reduced(np.array(numbers, int), left, self._table_of_left[kept])
+        return self._reduced[held]
 
     @property
     def scores(self) -> np.ndarray:
@@ -161,8 +151,7 @@ class OfferBank:
         return self._table.score_offers(self.along)[0]
 
     def evidence(self, chosen: Sequence[Offer]) -> float:
-        """Return the log evidence of some offers together, each with its prior odds against
-        none."""
+        """Return the log evidence of offers together, each with its prior odds against none."""
         key = tuple(chosen)
         if key not in self._evidences:
             self._evidences[key] = float(self.evidence_of_sets([chosen])[0])
@@ -175,8 +164,7 @@ class OfferBank:
     def worth_their_price(self, chosen: Sequence[Offer]) -> list[int]:
         """Return the positions in `chosen` of the offers that raise the evidence, priors included.
 
-        The offer that contributes least is dropped, again and again, until the evidence would
-        fall.
+        The offer that contributes least is dropped, again and again, until the evidence would fall.
         """
         kept, best = list(range(len(chosen))), self.evidence(chosen)
         while kept:
@@ -226,7 +214,7 @@ class OfferBank:
             chances = np.array([[o.chances for o in free[n] for _ in o.column_numbers] for n in ns])
             s = self.gram[places[:, :, None], places[:, None, :]]
             t = np.take_along_axis(along[ns], places, axis=1)
-            lower, upper, like = self.lower[places], self.upper[places], self.like[places]
+            lower, upper, like = (each[places] for each in self.coefficients)
             root = prior_root(like)
             # Sizes are chosen from the coefficients by the smallest and by the largest size, and
             # the better choice is kept: with the largest, two coefficients that the data hardly
