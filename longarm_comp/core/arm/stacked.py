@@ -16,8 +16,8 @@ def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
-        if not _all_floats(item) and any(isinstance(x, np.ndarray) and x.ndim == 1 for x in item):
-            zeros = tuple(map(_zero, item))
+        if any(type(x) is np.ndarray and x.ndim == 1 for x in item):
+            zeros = tuple([type(x) is float and x == 0.0 for x in item])
             kinds.setdefault(zeros, []).append(key)
         else:
             yield [key], item
@@ -30,23 +30,16 @@ def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
     """Stack the scalars of k items: each becomes (k, N), (k, 1), or 0 if it is 0 in all items."""
     made: list[Scalar] = []
     for each in zip(*items, strict=True):
-        sizes = [x.size for x in each if isinstance(x, np.ndarray)]
-        if not sizes:
-            made.append(0.0 if all(map(_zero, each)) else np.array(each, dtype=float)[:, None])
+        arrays = [x for x in each if type(x) is np.ndarray]
+        if not arrays:
+            zero = all(type(x) is float and x == 0.0 for x in each)
+            made.append(0.0 if zero else np.array(each, dtype=float)[:, None])
             continue
-        rows = np.empty((len(each), max(sizes)))
+        rows = np.empty((len(each), max([x.size for x in arrays])))
         for row, x in zip(rows, each, strict=True):
             row[:] = x
         made.append(rows)
     return tuple(made)
-
-
-def _all_floats(scalars: tuple[Scalar, ...]) -> bool:
-    return set(map(type, scalars)) == {float}
-
-
-def _zero(x: Scalar) -> bool:
-    return type(x) is float and x == 0.0
 
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
@@ -55,18 +48,15 @@ def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
     return (each[n : n + count] for n in range(0, len(each), count))
 
 
-def one_of(scalars: tuple[Scalar, ...], row: int) -> tuple[Scalar, ...]:
-    """Return the scalars of item `row` of a group that `stack_alike` yields."""
-    if _all_floats(scalars):
-        return scalars
-    return tuple(
-        [
-            (x[row] if x.shape[1] > 1 else float(x[row, 0]))
-            if isinstance(x, np.ndarray) and x.ndim == 2
-            else x
-            for x in scalars
-        ]
-    )
+def take_apart(scalars: tuple[Scalar, ...], count: int) -> Iterator[tuple[Scalar, ...]]:
+    """Yield the scalars of each of the `count` items of a group that `stack_alike` yields."""
+    columns = [
+        (list(x) if x.shape[1] > 1 else x[:, 0].tolist())
+        if type(x) is np.ndarray and x.ndim == 2
+        else [x] * count
+        for x in scalars
+    ]
+    return zip(*columns, strict=True)
 
 
 def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
@@ -74,7 +64,6 @@ def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
     made = {}
     for keys, twist in stack_alike(twists):
         n, o, a, p = exp(twist)
-        for row, key in enumerate(keys):
-            x = one_of((*n, *o, *a, *p), row)
+        for key, x in zip(keys, take_apart((*n, *o, *a, *p), len(keys)), strict=True):
             made[key] = Frame(x[:3], x[3:6], x[6:9], x[9:])  # type: ignore[arg-type]
     return made

@@ -114,7 +114,7 @@ class SessionProblem:
         """
         model = self.model
         if any(not b.geometry for b in model.biases):
-            model = with_frame_shift(model, self.seen)
+            model = with_frame_shift(model, self.seen, self.posture)
         return ModelFit(
             model=model,
             session=self.seen,

@@ -36,9 +36,13 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
     return missed if told.biases == model.biases else missed - model.frame_shift
 
 
-def with_frame_shift(model: Model, session: Session) -> Model:
-    """Return the model with `frame_shift` set to its biases' mean displacement of the rows, m."""
-    moved = moved_by_measuring(model, session)
+def with_frame_shift(model: Model, session: Session, near: Posture | None = None) -> Model:
+    """Return the model with `frame_shift` set to its biases' mean displacement of the rows, m.
+
+    Args:
+        near: a similar model's posture at the rows, which saves time.
+    """
+    moved = moved_by_measuring(model, session, near)
     x, y, z = moved.mean(axis=0).tolist() if len(moved) else (0.0, 0.0, 0.0)
     return dataclasses.replace(model, frame_shift=(x, y, z))
 
@@ -56,13 +60,14 @@ def in_frame_of_start(model: Model, session: Session) -> Model:
     return with_frame_shift(model, dataclasses.replace(session, columns=columns))
 
 
-def moved_by_measuring(model: Model, session: Session) -> np.ndarray:
+def moved_by_measuring(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
     """Compute the displacement of the seen tip by the model's biases, (M, 3) m.
 
     The M rows are those that measure the tip's position.  Without such biases the result is (0, 3).
+    The arguments are those of `with_frame_shift`.
     """
     told = as_commanded(model)
-    return _difference(told, dataclasses.replace(told, biases=model.biases), session)
+    return _difference(told, dataclasses.replace(told, biases=model.biases), session, near)
 
 
 def moved_with_time(model: Model, session: Session, variance: float) -> np.ndarray:
@@ -104,13 +109,18 @@ def _as_moved_frame(moved: np.ndarray, model: Model, session: Session) -> np.nda
     return (design @ np.linalg.lstsq(design, moved.ravel(), rcond=None)[0]).reshape(moved.shape)
 
 
-def _difference(less: Model, more: Model, session: Session) -> np.ndarray:
+def _difference(
+    less: Model, more: Model, session: Session, near: Posture | None = None
+) -> np.ndarray:
     """Return the displacement (M, 3), m, of the rows by the terms of `more` that `less` lacks."""
     if less.terms == more.terms:
         return np.zeros((0, 3))
     rows = own_way(session)
     placed = rows.take(rows.placed)
-    at = compute_posture(less, placed)
+    if near is None or len(placed) < len(rows):
+        at = compute_posture(less, placed)
+    else:
+        at = less.posture_near(dataclasses.replace(near, context=placed.context()), close=True)
     then = at if more.effects == less.effects else more.posture_near(at)
     return np.asarray(tip_errors_at(less, placed, at) - tip_errors_at(more, placed, then))
 

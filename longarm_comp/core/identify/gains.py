@@ -127,7 +127,7 @@ def _errors_without_each(
         tried = (refit_without(fitted, places), model.without(places))
         seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
         nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
-        less = with_frame_shift(tried[nearest], fitted.session)
+        less = with_frame_shift(tried[nearest], fitted.session, fitted.posture)
         errors[:, 0] = seen[nearest], commanded_errors(less, own, at[1])
     return made
 

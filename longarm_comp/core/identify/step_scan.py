@@ -10,6 +10,7 @@ with random signs of the rows.
 
 import numpy as np
 
+from longarm_comp.core.arm import stacked
 from longarm_comp.core.calibration.candidates import Candidate
 from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
@@ -81,7 +82,8 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
         return np.asarray((first - square / counts) / counts)
 
     counts = np.arange(COARSEST, FINEST, APART)
-    parts = np.array_split(counts, COARSEST)  # single precision: good to a ten thousandth of a step
+    parts = map(np.array, stacked.parts(counts, len(share)))  # larger ones leave the cache
+    # Single precision is good to a ten thousandth of a step
     gains = np.concatenate([gain(part, np.float32) for part in parts])
     inner = gains[1:-1]
     peaks = 1 + np.flatnonzero((inner >= gains[:-2]) & (inner >= gains[2:]))

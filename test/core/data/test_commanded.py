@@ -11,6 +11,7 @@ import pytest
 from hidden_arm import session
 from small_arm import ARM
 
+from longarm_comp.core.arm.measuring import CameraPlacement
 from longarm_comp.core.arm.posture import Posture
 from longarm_comp.core.arm.spatial import Twist
 from longarm_comp.core.calibration.calibrate import declared_model
@@ -23,10 +24,11 @@ from longarm_comp.core.data.commanded import (
     own_way,
     with_frame_shift,
 )
-from longarm_comp.core.data.measurement import compute_tip_errors
+from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors
 from longarm_comp.core.data.session import Session
-from longarm_comp.core.effects.camera_errors import CameraDrift
+from longarm_comp.core.effects.camera_errors import CameraDrift, CameraScale
 from longarm_comp.core.effects.effect import Bias, Effect, parameter
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.effects.placements import BasePose, SensorPlace
 from longarm_comp.core.effects.plays import Backlash, FrictionHysteresis
 from longarm_comp.core.effects.slow_changes import Creep, ThermalGrowth
@@ -103,6 +105,21 @@ def test_what_moves_all_seen_points_alike_misses_no_target(rows: Session) -> Non
     drift = compute_tip_errors(declared_model(ARM), rows) - compute_tip_errors(model, rows)
     charged = commanded_errors(model, rows) - compute_tip_errors(model, rows)
     assert charged == pytest.approx(drift - drift.mean(axis=0), abs=1e-12)
+
+
+def test_a_shift_of_the_frame_is_the_same_from_the_posture_of_a_similar_model(
+    rows: Session,
+) -> None:
+    """The posture may hold moves that no command knows; the shift leaves these out."""
+    rows = dataclasses.replace(rows, told=rows.approach)
+    far = 2.0 * float(np.abs(rows.legs[..., 0]).max())
+    played = FrictionHysteresis(joint=2, width=0.02, outer=0.02, near=0.01, far=far)
+    arm = ARM.model_copy(update={"camera": CameraPlacement(position_m=(2.0, 0.0, 0.0))})
+    model = declared_model(arm).plus(played, CameraScale(scale=0.02))
+    near = compute_posture(model.plus(JointZero(2, 1e-3)), rows)
+    anew, quick = (with_frame_shift(model, rows, at).frame_shift for at in (None, near))
+    assert np.linalg.norm(anew) > 5e-3
+    assert quick == pytest.approx(anew, abs=1e-12)
 
 
 def test_a_target_in_the_frame_of_the_measurements_is_missed_as_the_report_says(
