@@ -21,6 +21,7 @@ from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.left_out import subtract_point_means
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.calibration.uncertainty import measure_uncertainty
+from longarm_comp.core.compensation.unshown import structure_left
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.measurement import compute_posture, compute_tip_errors, make_equations
 from longarm_comp.core.data.session import Session
@@ -28,7 +29,6 @@ from longarm_comp.core.effects.catalogue import effect_class
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import slots_of
 from longarm_comp.core.model.uncertainty import LEVEL, ModelUncertainty, sizes
 from longarm_comp.sessions.read import read_session
@@ -97,7 +97,8 @@ def judge(
     slots = (*model.slots, *slots_of(model.arm, known.absent))
     columns = make_equations(model, seen, slots).columns[:, :3]
     carried = known.carry_to_tip(columns, [slot.identity for slot in slots])
-    return _judge(name, off, carried, known, known.structure_at(seen.q, least_moved(model.arm)))
+    structure = structure_left(model, known, seen.q, seen.context())
+    return _judge(name, off, carried, known, structure)
 
 
 def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
@@ -109,7 +110,7 @@ def judge_touches(name: str, fitted: ModelFit, rows: Session) -> LeftOutRows:
     tip, columns = model.columns(compute_posture(model, rows), slots)
     off, alone = subtract_point_means(tip, touched)
     moved, _ = subtract_point_means(columns, touched)
-    structure = known.structure_at(rows.q[~alone], least_moved(model.arm))
+    structure = structure_left(model, known, rows.q, rows.context())[~alone]
     return _judge(name, off[~alone], known.carry_to_tip(moved[~alone], names), known, structure)
 
 

@@ -21,7 +21,7 @@ from longarm_comp.core.at_work.changes import Parameters
 from longarm_comp.core.at_work.explanations import Branch, Explanations, Named, name_change
 from longarm_comp.core.at_work.posterior import RecursivePosterior
 from longarm_comp.core.at_work.row import Row
-from longarm_comp.core.compensation.expected import expected_miss, structure_left
+from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.compensation.sighting import (
     COMMON,
     PAYLOAD,
@@ -29,6 +29,7 @@ from longarm_comp.core.compensation.sighting import (
     error_of_sighting,
     is_other_payload,
 )
+from longarm_comp.core.compensation.unshown import structure_left
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
@@ -290,7 +291,8 @@ class Learner:
         likely = (space.most_probable(known.expected_values, *known.spread) for known in each)
         tips = [space.at(values).tip(q, there) for values in likely]
         off = np.array(tips[1:]) - tips[0]
-        precision = np.linalg.inv(self.prior.noise + structure_left(self.prior, arm, q))
+        left = structure_left(self.model, self.prior, q, there)
+        precision = np.linalg.inv(self.prior.noise + left)
         odds = 0.5 * np.einsum("rij,ijk,rik->ri", off, precision, off)
         which, best = np.unravel_index(int(odds.argmax()), odds.shape)
         if odds[which, best] < np.log(CREDIBLE / (1.0 - CREDIBLE)):

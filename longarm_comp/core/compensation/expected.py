@@ -17,15 +17,15 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.beyond import absent_slots
+from longarm_comp.core.compensation.unshown import structure_left
 from longarm_comp.core.effects.catalogue import registered
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.ik.columns import tip_and_columns
 from longarm_comp.core.ik.engines import tip_poses
 from longarm_comp.core.model.by_readings import by_readings
-from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model, Slot, slots_of
-from longarm_comp.core.model.uncertainty import Alternative, ModelUncertainty, list_told, sizes
+from longarm_comp.core.model.uncertainty import Alternative, list_told, sizes
 
 BY_HAND = math.radians(1.0)
 """Usual error of a joint's zero, rad, that was set by hand or by a servo horn. It holds for an arm
@@ -123,16 +123,11 @@ def expected_miss(
     further = sum((way[..., None] * way[..., None, :] for way in ways), np.zeros((*apart.shape, 3)))
     carried = carried + spread_of(chance, apart, further)
     if learned is None:
-        structure = structure_left(known, model.arm, np.atleast_2d(q)).reshape(carried.shape)
+        structure = structure_left(model, known, np.atleast_2d(q), context).reshape(carried.shape)
         return ExpectedMiss(mean, carried + structure + known.frame, chance, apart, further)
     seen = learned**2 - np.diag(known.noise)
     least = np.diagonal(carried, axis1=-2, axis2=-1)
     return ExpectedMiss(mean, np.maximum(seen, least)[..., None] * np.eye(3) + known.frame)
-
-
-def structure_left(known: ModelUncertainty, arm: Arm, q: np.ndarray) -> np.ndarray:
-    """Return the covariance (M, 3, 3), m^2, of what no parameter explains at joints (M, n)."""
-    return known.structure_at(q, least_moved(arm))
 
 
 def _alternative_slots(

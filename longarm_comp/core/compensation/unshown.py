@@ -2,7 +2,8 @@
 
 A joint that never moved in the session, or arrived from one side only, may have a wrong gain, play
 or friction.  The rows cannot distinguish them from an error of its zero.  A command that moves the
-joint, or arrives from the other side, feels them.
+joint, or arrives from the other side, feels them.  Of a joint that moved, the rows show such
+effects as far as these are larger than what the model leaves unexplained.
 """
 
 import math
@@ -23,8 +24,16 @@ from longarm_comp.core.model.model import Model, Slot, slots_of, unstack
 from longarm_comp.core.model.uncertainty import ModelUncertainty
 
 _FAR = 1e6  # rad, m: farther than any play
-_LEAST_MM = 0.01  # a smaller standard deviation is not worth a word
+_LEAST = 0.05
+"""Smallest standard deviation that is worth a word, as a share of the largest expected error at the
+fitted rows."""
 _SIDES = ("above", "below")
+_LARGE = 2.0
+"""Size of an effect that bounds the growth of the structure, in standard deviations of its prior.
+
+With 1, rows of half of a joint's range promise too little if its gear runs four of them out of
+round: 20 % of the commands in the other half are inside, with 2 more than 65 %.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +58,8 @@ def unshown_effects(model: Model, q: np.ndarray, context: Context) -> tuple[np.n
     """Estimate how far off the tip may be by effects that no row could show.
 
     They are those of joints that hardly moved in the rows and stand elsewhere, and of joints that
-    arrived from one side in every row and may arrive from the other.  Beyond the range of a joint
-    that moved, the structure of the error grows (`ModelUncertainty.structure_at`).
+    arrived from one side in every row and may arrive from the other.  Those of a joint that moved
+    are in `structure_left`.
 
     Args:
         q: (M, n) commanded joints, rad and m.
@@ -76,20 +85,45 @@ def unshown_effects(model: Model, q: np.ndarray, context: Context) -> tuple[np.n
         here = np.flatnonzero(away | other)
         if not len(here):
             continue
-        effects = _judge_effects(model, known, known.domain, j, moved)
+        effects = _judge_joint(model, known, known.domain, j, moved, context)
         if not effects.text:  # the model holds them all
             continue
         added = _compute_covariance(model, q[here], context.take(here), effects)
         covariance[here] += added
         sizes = np.sqrt(np.maximum(np.einsum("kii->k", added), 0.0))
-        for k, mm in zip(here.tolist(), 1e3 * sizes, strict=True):
-            if mm < _LEAST_MM:
+        for k, size in zip(here.tolist(), sizes, strict=True):
+            if size < _LEAST * known.largest_m:
                 continue
             how = f"{name} arrived from {_SIDES[only]} in every row and may not here"
             if away[k]:
                 how = f"{name} {q[k, j]:.4g} is beyond the session's {describe_range(low, high)}"
-            said[k].append(f"{how}: its {effects.text} did not show (sigma {mm:.2f} mm)")
+            said[k].append(f"{how}: its {effects.text} did not show (sigma {1e3 * size:.2f} mm)")
     return covariance, ["; ".join(each) for each in said]
+
+
+def structure_left(
+    model: Model, known: ModelUncertainty, q: np.ndarray, context: Context
+) -> np.ndarray:
+    """Return the covariance (M, 3, 3), m^2, of what no parameter explains at joints (M, n).
+
+    It grows away from the rows as `ModelUncertainty.structure_at` says.  This growth has a bound,
+    because the smoothest error that hides in the structure of few poses may be larger than any
+    machine's: that by effects of the joints that moved, twice as large as usual.
+
+    Args:
+        known: the uncertainty of the model, or that of the model before it.
+        context: circumstances of all, or of each.
+    """
+    least = least_moved(model.arm)
+    grown = known.structure_at(q, least) - known.structure
+    size = np.einsum("kii->k", grown)
+    far = np.flatnonzero(size > np.trace(known.structure))
+    if known.domain is not None and len(far):
+        effects = _judge_moved(model, known, known.domain, context)
+        bound = _carry_to_tip(model, q[far], context.take(far), effects)
+        most = np.maximum(np.einsum("kii->k", bound), np.trace(known.structure))
+        grown[far] *= np.minimum(1.0, most / size[far])[:, None, None]
+    return np.asarray(known.structure + grown)
 
 
 def describe_unshown(arm: Arm, rows: Session) -> str:
@@ -128,8 +162,13 @@ def _shares_of_sides(model: Model) -> np.ndarray:
     return np.where(count > 0.0, known / np.maximum(count, 1.0), 0.5)
 
 
-def _judge_effects(
-    model: Model, known: ModelUncertainty, domain: RowDomain, joint: int, moved: bool
+def _judge_joint(
+    model: Model,
+    known: ModelUncertainty,
+    domain: RowDomain,
+    joint: int,
+    moved: bool,
+    context: Context,
 ) -> _Unshown:
     """Compute what the rows say of the effects of a joint, from the places where they stood.
 
@@ -137,25 +176,66 @@ def _judge_effects(
         moved: whether the joint moved by more than `LEAST_MOVED`.
     """
     name = f"unshown {joint}"
-    if name in model.memo:
-        held: _Unshown = model.memo[name]
-        return held
-    arm, places = model.arm, domain.q.copy()
-    effects = _list_effects(model, known, arm.commanded[joint])
-    if moved:  # the rows show all but what depends on the side
-        effects = [effect for effect in effects if effect.inputs]
+    if name not in model.memo:
+        places, effects = domain.q.copy(), _list_effects(model, known, model.arm.commanded[joint])
+        if moved:  # the rows show all but what depends on the side
+            effects = [effect for effect in effects if effect.inputs]
+        else:  # such rows do not tell how an error varies with it
+            places[:, joint] = places[:, joint].mean()
+        left = known.noise + known.structure
+        model.memo[name] = _judge_effects(model, known, places, context, effects, left)
+    held: _Unshown = model.memo[name]
+    return held
+
+
+def _judge_moved(
+    model: Model, known: ModelUncertainty, domain: RowDomain, context: Context
+) -> _Unshown:
+    """Compute what the rows say of the effects of all joints that moved, but for sides.
+
+    What the model leaves unexplained is similar in similar rows, so all rows count as one.
+    """
+    name = "unshown of moved"
+    if name not in model.memo:
+        rows = [model.arm.commanded[j] for j in np.flatnonzero(np.isfinite(domain.span))]
+        every = {e.key: e for row in rows for e in _list_effects(model, known, row) if not e.inputs}
+        effects, left = list(every.values()), known.noise + len(domain.q) * known.structure
+        made = _judge_effects(model, known, domain.q, context, effects, left, _LARGE)
+        model.memo[name] = made
+    held: _Unshown = model.memo[name]
+    return held
+
+
+def _judge_effects(
+    model: Model,
+    known: ModelUncertainty,
+    places: np.ndarray,
+    context: Context,
+    effects: Sequence[Effect],
+    left: np.ndarray,
+    size: float = 1.0,
+) -> _Unshown:
+    """Compute what rows at some places say of effects.
+
+    Args:
+        places: (R, n) joints, rad and m.
+        context: circumstances of commands. The rows' own are not known any more, so those of the
+            first command stand for them, but for the history.
+        left: (3, 3) m^2, covariance of what each row leaves.
+        size: of the effects, in standard deviations of their prior.
+    """
+    arm = model.arm
     fitted, absent = model.uncertain_slots(known), slots_of(arm, effects)
     # The forms of an effect exclude each other: they share its variance
     forms = np.array([sum(e.key == s.owner.key for e in effects) for s in absent])
     width = np.array([s.parameter.width for s in (*fitted, *absent)])
-    width[len(fitted) :] /= np.sqrt(forms)
+    width[len(fitted) :] *= size / np.sqrt(forms)
     shares = _shares_of_sides(model)
     drawn = np.random.default_rng(0).random(places.shape) < shares[:, 1]
     unmoved = (np.ptp(places, axis=0) <= arm.telling) & (shares[:, 0] == 0.5)
-    if not moved:  # such rows do not tell how an error varies with it
-        places[:, joint] = places[:, joint].mean()
-    came = _arriving(Context(), np.where(drawn | unmoved, 1.0, -1.0))
-    noise = math.sqrt(max(float(np.trace(known.noise + known.structure)) / 3.0, 1e-12))
+    there = context.take(np.zeros(len(places), int))
+    came = _arriving(there, np.where(drawn | unmoved, 1.0, -1.0))
+    noise = math.sqrt(max(float(np.trace(left)) / 3.0, 1e-12))
     columns = _columns(model, places, came, (*fitted, *absent))
     white = columns.reshape(-1, len(width)) * width / noise
     seen = white[:, : len(fitted)] @ (np.array([s.value for s in fitted]) / width[: len(fitted)])
@@ -167,8 +247,7 @@ def _judge_effects(
         factors.append(np.column_stack([likely, factor]) * width[: len(likely), None])
     text = ", ".join(dict.fromkeys(effect.heading() for effect in effects))
     whole, alone = factors
-    made = model.memo[name] = _Unshown((*fitted, *absent), whole, alone, text)
-    return made
+    return _Unshown((*fitted, *absent), whole, alone, text)
 
 
 def _list_effects(model: Model, known: ModelUncertainty, row: int) -> list[Effect]:
@@ -194,13 +273,18 @@ def _compute_covariance(
     sides, covariance = _sides(context, q), np.zeros((len(q), 3, 3))
     for side in (-1.0, 1.0):
         there = _arriving(context, np.where(sides == 0.0, side, sides))
-        columns = _columns(model, q, there, effects.slots)
-        whole = columns @ effects.whole
-        alone = columns[..., : len(effects.alone)] @ effects.alone
-        whole[..., 0] -= alone[..., 0]
-        alone[..., 0] = 0.0
-        covariance += 0.5 * (whole @ np.swapaxes(whole, 1, 2) - alone @ np.swapaxes(alone, 1, 2))
+        covariance += 0.5 * _carry_to_tip(model, q, there, effects)
     return covariance
+
+
+def _carry_to_tip(model: Model, q: np.ndarray, context: Context, effects: _Unshown) -> np.ndarray:
+    """Compute the covariance (M, 3, 3), m^2, that effects add at commands (M, n)."""
+    columns = _columns(model, q, context, effects.slots)
+    whole = columns @ effects.whole
+    alone = columns[..., : len(effects.alone)] @ effects.alone
+    whole[..., 0] -= alone[..., 0]
+    alone[..., 0] = 0.0
+    return np.asarray(whole @ np.swapaxes(whole, 1, 2) - alone @ np.swapaxes(alone, 1, 2))
 
 
 def _arriving(context: Context, sides: np.ndarray) -> Context:

@@ -12,7 +12,6 @@ from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.compensation.unshown import describe_unshown
 from longarm_comp.core.data.commanded import in_frame_of_start
-from longarm_comp.core.data.holdout import folds_of
 from longarm_comp.core.data.measurement import compute_posture
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import SetAside
@@ -107,9 +106,8 @@ class Diagnosis(ProvedModels):
         """
         if len(self.folds) == 1:
             return None
-        session = self.fit.session
-        made = np.full((len(session), 3), np.nan)
-        held = np.flatnonzero(folds_of(session, self.seed) >= 0)
+        made = np.full((len(self.fit.session), 3), np.nan)
+        held = np.sort(np.concatenate([fold.numbers for fold in self.folds]))
         made[held[self.proof.rows_at]] = self.proof.errors[self.written]
         return made
 

@@ -36,7 +36,7 @@ class Fold:
         models: the models by name, plainer ones first.
         fits: the fits of the calibrated model and of fuller ones, by name.
         rows: the M held-out rows, in time order; each holds a measurement.
-        numbers: (M,) their positions among all held-out rows.
+        numbers: (M,) their positions among the fitted rows, or among the rows given to hold out.
     """
 
     models: Mapping[str, Model]
@@ -142,6 +142,7 @@ def prove_models(
             seen[name].append(compute_tip_errors(model, placed) - error)
             commanded[name].append(commanded_errors(model, placed) - error)
             turned[name].append(compute_turn_errors(model, bent))
+    held = np.sort(np.concatenate([f.numbers for f in made]))
     (rows_at, of_fold), (turned_at, of_turned) = (
         (np.concatenate(each), np.repeat(np.arange(len(made)), [*map(len, each)]))
         for each in (
@@ -154,5 +155,5 @@ def prove_models(
         {name: np.concatenate(parts)[rows] for name, parts in by_fold.items()}
         for by_fold, rows in ((seen, order), (commanded, order), (turned, turns))
     )
-    places = rows_at[order], of_fold[order], of_turned[turns]
+    places = np.searchsorted(held, rows_at[order]), of_fold[order], of_turned[turns]
     return Proof(at_seen, at_commanded, at_turned, *places)

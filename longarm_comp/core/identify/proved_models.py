@@ -199,7 +199,6 @@ def _fit_folds(
     """
     session = search.fit.session
     fold = folds_of(session, seed)
-    numbers = np.flatnonzero(fold >= 0)
     made = []
     for number in range(int(fold.max()) + 1):
         kept = fold != number
@@ -210,9 +209,8 @@ def _fit_folds(
         }
         again = _refit_fold(fits, search, kept)
         models |= {name: fitted.model for name, fitted in again.items()}
-        at = np.flatnonzero(fold[numbers] == number)
-        made.append(Fold(models, again, session.take(~kept), at))
-    return session.take(numbers), tuple(made)
+        made.append(Fold(models, again, session.take(~kept), np.flatnonzero(~kept)))
+    return session.take(fold >= 0), tuple(made)
 
 
 def _refit_fold(

@@ -11,9 +11,10 @@ from small_arm import ARM
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
+from longarm_comp.core.compensation.unshown import structure_left
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.model.domain import ROUGH, SMOOTH, RowDomain
+from longarm_comp.core.model.domain import ROUGH, SMOOTH, RowDomain, least_moved
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import restore, save_model, store
 from longarm_comp.core.model.uncertainty import ModelUncertainty
@@ -137,6 +138,30 @@ def test_places_that_are_no_joints_are_refused(line: str) -> None:
     stored.uncertainty.domain.places[1] = line
     with pytest.raises(InputError, match=r"uncertainty\.domain"):
         restore(stored, ARM, "model.yaml")
+
+
+@pytest.mark.parametrize("turns", [0.0, 0.5])
+@pytest.mark.parametrize("share", [0.12, 0.25])
+def test_a_little_way_of_a_joint_does_not_make_the_promise_useless(
+    share: float, turns: float
+) -> None:
+    """What rows so near each other leave may be noise; 9 and 2.5 mm were promised."""
+    hidden = GearEccentricity(turns * np.array([0.0 * WAVE, WAVE]), np.full((2, ARM.n), 0.7))
+    truth, rng = TrueArm(ARM, [hidden]), np.random.default_rng(1)
+    fresh, q = (ARM.lower + rng.random((n, ARM.n)) * (ARM.upper - ARM.lower) for n in (300, 120))
+    q[:, 1] = ARM.mid[1] + share * (q[:, 1] - ARM.mid[1])
+    rows = Session.record(q, truth.tip(q) + SIGMA * rng.standard_normal((120, 3)))
+    model = with_uncertainty(calibrated(rows))
+    assert model.uncertainty is not None
+    beyond = fresh[np.abs(fresh[:, 1] - ARM.mid[1]) > np.abs(q[:, 1] - ARM.mid[1]).max()]
+    predicted = model.tip(beyond, Context())
+    off = np.linalg.norm(truth.tip(beyond) - predicted, axis=1)
+    radius = expected_miss(model, beyond, Context(), predicted).sizes[1]
+    assert (off <= radius).mean() >= 0.9 and np.median(radius) < 14.0 * SIGMA
+    near = structure_left(model, model.uncertainty, q, Context())
+    grown = model.uncertainty.structure_at(q, least_moved(ARM))
+    amid = np.einsum("kii->k", grown) <= 2.0 * np.trace(model.uncertainty.structure)
+    np.testing.assert_allclose(near[amid], grown[amid])
 
 
 @pytest.mark.parametrize("stored", [False, True])

@@ -193,6 +193,18 @@ def test_where_every_joint_moved_from_both_sides_nothing_is_added() -> None:
     assert not unshown_effects(old, 2.0 * q, Context())[0].any()
 
 
+def test_what_is_worth_a_word_depends_on_what_is_expected_anyway() -> None:
+    """A large arm and a small one say the same."""
+    model = learned(rows := session(friction(HELD), one_sided=HELD))
+    q, _ = commands(rows)
+    context, known = Context(approach=tuple(-np.ones((ARM.n, len(q))))), model.uncertainty
+    assert known is not None
+    for largest_m, said in ((1e-6, True), (known.largest_m, True), (1.0, False)):
+        other = dataclasses.replace(known, largest_m=largest_m)
+        covariance, why = unshown_effects(dataclasses.replace(model, uncertainty=other), q, context)
+        assert covariance.any() and any(why) is said
+
+
 def test_nothing_is_said_of_effects_that_the_model_holds() -> None:
     model = learned(rows := session(friction(HELD), one_sided=HELD))
     q, sides = commands(rows)
