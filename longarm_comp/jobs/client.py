@@ -1,5 +1,6 @@
 """A client of an arm's graph: sends joints, waits for rest, collects sightings of the tip."""
 
+import math
 import threading
 import time
 from contextlib import suppress
@@ -20,15 +21,16 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduced_speed
 from longarm_comp.jobs.graph_client import (
     ANSWER_S,
+    FOUND_S,
     Call,
     GraphClient,
     Interrupted,
     count_drivers,
 )
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import stamp_ns, told_ns
+from longarm_comp.nodes.clock import sleepless_s, stamp_ns, told_ns
 from longarm_comp.nodes.messages import driver_words, joints_of, sighting_of, trajectory_message
-from longarm_comp.nodes.orders import Stamps, order_id
+from longarm_comp.nodes.orders import DRIVER_SILENT_S, Stamps, order_id
 from longarm_interfaces.msg import DriverState, Motion
 
 
@@ -77,12 +79,14 @@ STOPPED = (DriverState.HOLDING, DriverState.FAULT, DriverState.ESTOP)
 
 
 class DriverStopped(JobError):  # noqa: N818
-    """The driver is held, in fault or in emergency stop."""
+    """The driver is held, in fault or in emergency stop, or was so meanwhile."""
 
     def __init__(self, state: DriverState) -> None:
         self.held = state.state == DriverState.HOLDING  # somebody means to continue
-        leads_on = "`longarm status` tells more, `longarm reset` leads on"
-        why = f"the driver is {driver_words(state.state)} ({leads_on})"
+        why = "the arm was stopped meanwhile, or its driver started again"
+        if state.state in STOPPED:
+            leads_on = "`longarm status` tells more, `longarm reset` leads on"
+            why = f"the driver is {driver_words(state.state)} ({leads_on})"
         super().__init__(why, said=state.message or "nothing")
 
 
@@ -109,6 +113,8 @@ class ArmClient(GraphClient):
         self._tips = tips
         tips.subscription(self.node, self._on_tip)
         self._driver: DriverState | None = None
+        self._heard_s = -math.inf  # when it was last heard, sleepless s
+        self._stops: tuple[str, int] | None = None  # of which driver, and how many, while it took
         self._stamps = Stamps(self.node.get_clock())
         self._sent, self._refused, self._reached, self._replaced = "", "", False, False
         self._patience_s = 0.0  # how long the last command takes
@@ -119,7 +125,7 @@ class ArmClient(GraphClient):
         self._states = graph.DRIVER_STATE.subscription(self.node, self._on_state)
 
     def _on_state(self, message: DriverState) -> None:
-        self._driver = message
+        self._driver, self._heard_s = message, sleepless_s()
 
     def _on_joints(self, message: JointState) -> None:
         with suppress(InputError):
@@ -144,6 +150,7 @@ class ArmClient(GraphClient):
             driver = any(end.node_name not in ("kinematics", self.node.get_name()) for end in ends)
             return driver and self._trajectory.get_subscription_count() >= len(ends)
 
+        self._stops = None
         running = "does `longarm up` run in this namespace and ROS_DOMAIN_ID?"
         self.until(lambda: self.joints is not None, within_s, f"no joint_states ({running})")
         # a killed driver is counted for up to 20 s
@@ -179,14 +186,26 @@ class ArmClient(GraphClient):
         """Tell whether the driver accepts trajectories; one that publishes no state always does.
 
         Raises:
-            DriverStopped: it is in fault, in emergency stop, or, unless ``held`` allows it, held.
+            DriverStopped: it is in fault, in emergency stop, or held, or was so since it was last
+                asked; ``held`` allows that it is held.
         """
         if self._driver is None:
             return not self.drives_itself
         stopped = self._driver.state in STOPPED
         if stopped and not (held and self._driver.state == DriverState.HOLDING):
             raise DriverStopped(self._driver)
-        return self._driver.state in (DriverState.READY, DriverState.MOVING)
+        silent = sleepless_s() - self._heard_s > DRIVER_SILENT_S
+        if silent or self._driver.state not in (DriverState.READY, DriverState.MOVING):
+            return False
+        before, self._stops = self._stops, (self._driver.instance, self._driver.stops)
+        if before not in (None, self._stops) and not held:
+            raise DriverStopped(self._driver)
+        return True
+
+    def ready_to_move(self) -> None:
+        """Wait until the driver accepts trajectories: a stop ends a job, whoever ended the stop."""
+        self.spin(0.05)  # so that it hears what came while it computed
+        self.until(self.driver_takes, FOUND_S, "the driver is not ready (`longarm status`)")
 
     def send(self, path: np.ndarray, move_s: float = 0.5, arm_speed: float = REDUCED_SPEED) -> int:
         """Command way-points (k, n) with a stop at each.
@@ -307,6 +326,7 @@ class ArmClient(GraphClient):
 
     def call_to_move(self, client: Any, request: Any) -> Any:
         """Call a service that may move the arm, once; if `stop` ends the wait, nothing moves it."""
+        self.ready_to_move()
         self.until(client.service_is_ready, ANSWER_S, f"nobody offers {client.srv_name}")
         asked = Call(client, request, again=False)
         try:

@@ -159,7 +159,6 @@ class TargetRunner:
     ) -> tuple[np.ndarray, np.ndarray, int]:
         """Drive to one target; return the tip as seen and as it is (NaN if unknown), the status."""
         client = self._client
-        client.driver_takes()  # a stop ends the job, whoever releases it later
         start = client.joints
         answer = self.ask(target, method, execute=True)
         seen = true = np.full(3, np.nan)

@@ -58,7 +58,7 @@ class TargetRequest:
     name: str  # its id
     pose: PoseStamped  # in any known frame
     position_only: bool  # its orientation is ignored
-    sent_s: float  # when it was sent, monotonic s
+    sent_s: float  # when it was sent, sleepless s
     turn_s: float = -math.inf  # when its turn came after others; until then it did not age
     execute: bool = True  # the computed joints are sent to the driver
     # where the search begins; without names: at the present joints

@@ -237,7 +237,7 @@ class DriverLink:
         self._arrived = self._left = False
         self._state: DriverState | None = None
         self._heard_s = self._rival_s = -DRIVER_SILENT_S
-        self._stopped_s = -math.inf  # when the driver last said that it takes nothing, monotonic s
+        self._stopped_s = -math.inf  # when the arm was last known to be stopped, sleepless s
         self._known: set[str] = set()
         self._asked, self._answer = "", None
         hear = state.worker.hear  # so that messages are processed before the next target
@@ -265,7 +265,7 @@ class DriverLink:
         return ""
 
     def overtaken(self, sent_s: float) -> str:
-        """Say that a stop came after what was asked at ``sent_s`` (monotonic s); empty if none did.
+        """Say that a stop came after what was asked at ``sent_s`` (sleepless s); empty if none did.
 
         It must not move the arm once that goes on: who asked did not know of the stop.
         """
@@ -354,8 +354,8 @@ class DriverLink:
             self.forget_history()
 
     def _on_state(self, message: DriverState, sent: float) -> None:
-        now, instance = time.monotonic(), message.instance
-        known = self._state is not None and self._state.instance == instance
+        now, last, instance = time.monotonic(), self._state, message.instance
+        known = last is not None and last.instance == instance
         if not known and instance in self._known:  # it reports again after another driver did
             if message.state == DriverState.UNCONFIGURED:
                 return  # its last report, as it ends
@@ -363,7 +363,8 @@ class DriverLink:
         if not known:
             self._known.add(instance)
             self.forget_history()
-        if not known or message.state not in _TAKING:
+        went_on = last is not None and known and last.stops == message.stops
+        if not went_on or message.state not in _TAKING:
             self._stopped_s = max(self._stopped_s, sent)
         self._state, self._heard_s = message, now
 

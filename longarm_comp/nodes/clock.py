@@ -28,8 +28,8 @@ def sleepless_s() -> float:
 
 
 def sent_s(source_ns: int) -> float:
-    """Return when (monotonic s) a message was sent, by its sender's wall clock; 0 ns: now."""
-    return time.monotonic() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
+    """Return when (sleepless s) a message was sent, by its sender's wall clock; 0 ns: now."""
+    return sleepless_s() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
 
 
 def stamp_of(ns: int) -> Time:

@@ -64,6 +64,9 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
 
 _UNTOLD_S = 1.0
 """Assumed longest wait of a request, s, if the sender's clock does not tell it."""
+_DEAF_S = 1.0
+"""Absence, s, after which what was said meanwhile may be lost: the middleware keeps few messages of
+a topic, and delivers some of them seconds later."""
 _WATCH_S = 0.1
 """Longest pause, s, between two looks whether the node runs."""
 _DELIVERED_S = 60.0
@@ -78,13 +81,15 @@ class Freshness:
     simulated time, which may stand still, the order may have waited as long as the node did not run
     (stopped or overloaded). A timer on the node's executor measures this time.
 
-    An order from before the last `begin_anew` is too old at any age.
+    An order from before the last `begin_anew` is too old at any age, and so is one from before the
+    end of an absence in which the node may have missed a stop or a withdrawal.
     """
 
     def __init__(self, node: Node, max_age_s: float) -> None:
         self._clock, self.max_age_s = node.get_clock(), max_age_s
         self._turned = sleepless_s()
         self._away_s = self._back = 0.0
+        self._deaf_until_s = -math.inf
         self._anew_s, self._anew_ns = -math.inf, 0
         self._period_s = min(_WATCH_S, 0.1 * max_age_s)
         steady_timer(node, self._period_s, self._note_turn)
@@ -94,7 +99,7 @@ class Freshness:
         self._anew_s, self._anew_ns = sleepless_s(), int(self._clock.now().nanoseconds)
 
     def _note_turn(self) -> None:
-        now = sleepless_s()
+        now, self._deaf_until_s = sleepless_s(), self.deaf_until_s
         late, self._turned = now - self._turned, now
         if late > max(2.0 * self._period_s, self._late_s(now)):
             self._away_s, self._back = late, now
@@ -112,6 +117,21 @@ class Freshness:
         now = sleepless_s()
         return max(now - self._turned, self._late_s(now))
 
+    @property
+    def deaf_until_s(self) -> float:
+        """When the last absence ended in which messages may be lost, sleepless s; now in one."""
+        now = sleepless_s()
+        return now if now - self._turned > _DEAF_S else self._deaf_until_s
+
+    def sent_s(self, stamp: Time, told_s: float | None = None) -> float:
+        """Return when (sleepless s) something was sent: at ``told_s``, or at its stamp if earlier.
+
+        Where neither is known, it was sent as long ago as is possible.
+        """
+        ns, now = stamp_ns(stamp), sleepless_s()
+        since = now - self.away_s if told_s is None else told_s
+        return min(since, now - 1e-9 * (self._clock.now().nanoseconds - ns)) if ns else since
+
     def waited_s(self, sent_ns: int) -> float:
         """Return how long (s) a request has waited that was sent at ``sent_ns``, sender's clock.
 
@@ -122,7 +142,7 @@ class Freshness:
 
     def too_old(self, stamp: Time) -> str:
         """Say why an order with this stamp is too old to be carried out; empty if it is not."""
-        ns, since_s = stamp_ns(stamp), sleepless_s() - self._anew_s
+        ns, since_s = stamp_ns(stamp), sleepless_s() - max(self._anew_s, self.deaf_until_s)
         now_ns = int(self._clock.now().nanoseconds)
         why = describe_untimely(self._clock, ns, self.max_age_s) if ns else ""
         untold = not ns or self._clock.ros_time_is_active
@@ -133,7 +153,8 @@ class Freshness:
         age_s = max(1e-9 * (now_ns - ns) if ns else 0.0, self.away_s if untold else 0.0)
         # The clock may have been set back since: then a stamp before that lies in the future
         if age_s >= since_s or 0 < ns < self._anew_ns <= now_ns or now_ns < ns < self._anew_ns:
-            return "the order was sent before the arm was stopped, or went on: send it again"
+            began = "the arm was stopped, or went on, or this node was away"
+            return f"the order was sent before {began}: send it again"
         return ""
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -21,6 +20,7 @@ from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.files import file_hash
 from longarm_comp.core.learn.predictor import Predictor
 from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.nodes.clock import sleepless_s
 from longarm_comp.nodes.messages import joints_message
 from longarm_comp.nodes.worker import ServiceCaller
 from longarm_interfaces.srv import PredictError
@@ -144,7 +144,7 @@ class PredictorClient:
     @property
     def _served_now(self) -> ServedPredictor | None:
         """The served predictor, if its file was read here and the last message is recent."""
-        return self._read if time.monotonic() - self._told_s <= _SERVED_S else None
+        return self._read if sleepless_s() - self._told_s <= _SERVED_S else None
 
     @property
     def answers(self) -> bool:
@@ -224,7 +224,7 @@ class PredictorClient:
         """Send a request to a predictor that did not answer so far; do not wait for the answer."""
         if not self._look_for_answer() or self.answers:
             return
-        now = time.monotonic()
+        now = sleepless_s()
         if self._probe is None or now - self._probed_s > self._patience_s:
             if self._probe is not None:
                 self._patience_s = min(2.0 * self._patience_s, _PROBE_S[1])

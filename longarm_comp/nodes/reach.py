@@ -1,7 +1,6 @@
 """The action `reach`: moves the tip to a target, gives feedback, and reports where it rests."""
 
 import math
-import time
 from collections import deque
 from dataclasses import replace
 from typing import Any
@@ -12,7 +11,7 @@ from longarm_comp.core.arm.history import SAME_POSE
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.answers import Answer, TargetRequest
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.clock import Ticks
+from longarm_comp.nodes.clock import Ticks, sleepless_s
 from longarm_comp.nodes.messages import joints_message, vector_message
 from longarm_comp.nodes.monitoring import ReadingsTeller, Sighted, TipMonitor
 from longarm_comp.nodes.orders import describe_halt
@@ -70,7 +69,7 @@ class ReachServer:
                 self._give_feedback(goal, Reach.Feedback.WAITING, None)
                 await self._ticks.next()
             if fresh:  # waiting for other goals, which the feedback reports, makes it no older
-                target = replace(target, turn_s=time.monotonic())
+                target = replace(target, turn_s=sleepless_s())
             return await self._reach_target(goal, target)
         finally:
             self._turns.remove(turn)

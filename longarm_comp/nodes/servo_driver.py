@@ -345,9 +345,9 @@ class _ServoDriver(ArmNode, LifecycleNode):
 
     def tell_state(self) -> None:
         state, why = self._said = self.state
-        message = DriverState(state=state, message=why, instance=THIS_INSTANCE)
-        message.header.stamp = self.get_clock().now().to_msg()
-        self._states.publish(message)
+        told = DriverState(state=state, message=why, instance=THIS_INSTANCE, stops=self._stops.made)
+        told.header.stamp = self.get_clock().now().to_msg()
+        self._states.publish(told)
 
     @property
     def state(self) -> tuple[int, str]:

@@ -75,6 +75,7 @@ class Stops:
         if not kept.is_absolute():  # from another working folder a stop would not be found
             raise InputError(where(node), "state", folder, "an absolute path")
         self._site, self._servos = site, servos
+        self.made = 0  # stops, and ends of them
         self._was_on = False  # the torque, when the emergency stop was asked for
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
@@ -130,6 +131,7 @@ class Stops:
     def begin_anew(self) -> None:
         """Tell at once that the arm was stopped, or goes on; orders from before are refused."""
         self._fresh.begin_anew()
+        self.made += 1
         self._site.tell_state()
 
     def _end(self, asked: Asked) -> str:

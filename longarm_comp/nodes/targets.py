@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import time
 import uuid
 from collections import deque
 from collections.abc import Callable
@@ -22,7 +21,7 @@ from longarm_comp.core.model.reduced_speed import REDUCED_SPEED, times_at_reduce
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes.answers import Answer, TargetRequest, compensation_message, response_of
 from longarm_comp.nodes.arm_state import ArmState
-from longarm_comp.nodes.clock import stamp_ns
+from longarm_comp.nodes.clock import sleepless_s, stamp_ns
 from longarm_comp.nodes.compensator import Compensator
 from longarm_comp.nodes.drawing import Markers
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
@@ -72,7 +71,7 @@ class TargetInlet:
         self._trajectory = graph.JOINT_TRAJECTORY.publisher(node)
         self._compensation = graph.COMPENSATION.publisher(node)
         self._withdrawals = graph.WITHDRAWN.publisher(node)
-        self._withdrawn_s = -math.inf  # when all targets were withdrawn, monotonic s
+        self._withdrawn_s = -math.inf  # when all targets were withdrawn, sleepless s
         worker.hear(graph.TARGET_POSE, self._on_target)
         worker.hear(graph.WITHDRAWN, self._on_withdrawn)
         worker.serve(graph.COMPENSATE, self._on_compensate)
@@ -85,13 +84,9 @@ class TargetInlet:
     ) -> TargetRequest:
         """Make the request of a target, with an id, and with ``others`` of its attributes.
 
-        ``sent_s``: when it was sent (monotonic s). If not known, the longest possible wait counts;
-        its stamp may say that it is older.
+        ``sent_s``: when it was sent (sleepless s), where that is known.
         """
-        now = time.monotonic()
-        since = now - self._fresh.away_s if sent_s is None else sent_s
-        if stamp := stamp_ns(pose.header.stamp):
-            since = min(since, now - 1e-9 * (self._node.get_clock().now().nanoseconds - stamp))
+        since = self._fresh.sent_s(pose.header.stamp, sent_s)
         name = f"{self._run}-{next(self._numbers)}"
         return TargetRequest(name, pose, position_only, since, **others)
 
@@ -102,7 +97,9 @@ class TargetInlet:
         """
         stamp = stamp_ns(target.pose.header.stamp)
         why = describe_untimely(self._node.get_clock(), stamp, self._max_age_s) if stamp else ""
-        age_s = time.monotonic() - max(target.sent_s, target.turn_s)
+        age_s = sleepless_s() - max(target.sent_s, target.turn_s)
+        if target.execute and target.sent_s <= self._fresh.deaf_until_s:
+            return "the target was sent before this node was away, and may be withdrawn: ask again"
         if not why and target.execute and age_s > self._max_age_s:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
         return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"

@@ -6,7 +6,6 @@ that it refuses.
 """
 
 import contextlib
-import time
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import fields, replace
@@ -139,7 +138,7 @@ class _TrajectoryCompensator(ArmNode):
         result, asked = graph.FOLLOW.type.Result, goal.request.trajectory
         strange = set(asked.joint_names) - set(self._arm.joint_names)
         allowed = ", ".join(self._arm.joint_names)
-        sent_s = time.monotonic() - self._fresh.away_s
+        sent_s = self._fresh.sent_s(asked.header.stamp)
         why = f"joints {sorted(strange)}; allowed: {allowed}" if strange else ""
         why = why or self._not_now(asked, sent_s)
         made, why = (None, why) if why else await self._compute_path(goal.request, sent_s)
@@ -156,7 +155,7 @@ class _TrajectoryCompensator(ArmNode):
             self._following -= 1
 
     def _not_now(self, asked: JointTrajectory, sent_s: float) -> str:
-        """Say why a trajectory that was sent at ``sent_s`` (monotonic s) cannot be followed now."""
+        """Say why a trajectory that was sent at ``sent_s`` (sleepless s) cannot be followed now."""
         if not asked.points:
             return "a trajectory without points"
         if not self._out.server_is_ready():

@@ -47,7 +47,7 @@ _USED: dict[str, tuple[str, ...]] = {
 
 Job = Callable[[], Any]
 Hear = Callable[[Any, float], None]
-"""Callback that gets a message, and the time at which it was sent (monotonic s)."""
+"""Callback that gets a message, and the time at which it was sent (sleepless s)."""
 
 Reply = Callable[[Any], None]
 """Sends the response to a request."""

@@ -21,6 +21,7 @@ from nodes_bench import PATIENCE_S, bench
 from own_graph import own_graph
 from quick_arm import quick_arm
 from small_arm import ARM
+from std_srvs.srv import SetBool
 
 import longarm_comp as la
 from longarm_comp.cli import collect
@@ -202,6 +203,28 @@ def test_a_job_gives_no_target_under_a_stop(rig: Rig, shell: Shell) -> None:
         client.until(lambda: client._driver is not None, 300.0, "state")
         TargetRunner(client, Pace()).run("targets", np.ones((3, 3)), Method.NONE, print)
     assert shell("reset") == 0
+
+
+def test_a_stop_and_its_end_within_one_call_end_a_job(rig: Rig) -> None:
+    with ArmClient(TWO_JOINTS) as client:
+        client.until(lambda: client.joints is not None, 300.0, "joints")
+        client.ready(600.0, tip=False)
+        client.ready_to_move()
+        for stop in (graph.HOLD, graph.ESTOP):
+            before = client._driver
+            assert rig.call(stop, SetBool.Request(data=True)).success
+            assert rig.call(stop, SetBool.Request(data=False)).success
+            rig.is_in(DriverState.READY)
+            client.until(lambda before=before: client._driver != before, 300.0, "heard")
+            nobody = graph.COMPENSATE.client(client.node)
+            with pytest.raises(DriverStopped, match="was stopped meanwhile") as ended:
+                client.call_to_move(nobody, Compensate.Request())
+            assert not ended.value.held
+            client.ready(600.0, tip=False)  # for another job
+            client.ready_to_move()
+        client._heard_s -= 10.0
+        assert not client.driver_takes()
+        client.ready_to_move()
 
 
 def test_no_hand_guides_an_arm_in_fault(rig: Rig, shell: Shell) -> None:

@@ -24,7 +24,7 @@ from longarm_comp.core.arm.parts import Box
 from longarm_comp.core.data.plan import Plan, sobol
 from longarm_comp.core.errors import JobError
 from longarm_comp.core.model.declared_model import declared_model
-from longarm_comp.jobs.client import ArmClient
+from longarm_comp.jobs.client import ArmClient, DriverStopped
 from longarm_comp.jobs.collect.run import Collected, Progress, collect
 from longarm_comp.jobs.collect.visits import list_visits
 from longarm_comp.jobs.recorder import Recorder
@@ -175,6 +175,20 @@ def test_it_waits_while_the_driver_is_held_and_ends_with_a_fault(
     stage.hold(False)
     again = run(tmp_path / "other", sobol(ARM, 5, 1), resume=True)
     assert (again.before, again.made) == (2, 3)
+
+
+def test_a_stop_that_ended_while_it_computed_ends_it_before_it_moves_the_arm(
+    stage: QuickArm, tmp_path: Path
+) -> None:
+    def show(now: Progress) -> None:
+        if now.done == 2 and len(stage.visited) == 2:
+            stage.stops += 2
+            time.sleep(0.2)  # the arm tells it, and nobody listens
+
+    with pytest.raises(DriverStopped, match="was stopped meanwhile") as ended:
+        run(tmp_path / "bag", sobol(ARM, 5, 1), show)
+    assert not ended.value.held and len(stage.visited) == 2
+    assert run(tmp_path / "bag", sobol(ARM, 5, 1), resume=True).made == 3
 
 
 def test_no_way_enters_a_box(stage: QuickArm, tmp_path: Path) -> None:

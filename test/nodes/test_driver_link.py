@@ -3,10 +3,10 @@
 The driver's side is played by the test, so that it can be absent, in fault, silent or double.
 """
 
+import math
 import signal
-import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import pytest
@@ -17,7 +17,8 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
 from nodes_bench import Bench, bench
 from own_graph import own_graph
-from played_driver import Driver
+from played_driver import Driver, is_away
+from rclpy.duration import Duration
 from std_msgs.msg import String
 from target_requests import pose, request
 from wind_up import there_and_back
@@ -31,7 +32,7 @@ from longarm_comp.nodes.messages import trajectory_message
 from longarm_comp.nodes.orders import order_id
 from longarm_interfaces.action import Reach
 from longarm_interfaces.msg import DriverState, Motion
-from longarm_interfaces.srv import Compensate
+from longarm_interfaces.srv import Compensate, PredictError
 
 STATUS = Compensate.Response
 
@@ -121,23 +122,11 @@ def test_nothing_is_called_sent_or_accepted_that_was_not(
     says(STATUS.NO_DRIVER, "silent")
 
 
-def is_away(stage: Bench, driver: Driver, *sent: Callable[[], object]) -> None:
-    """`kinematics` hears all of this together, as after a long computation."""
-    process = stage.processes[0]
-    process.send_signal(signal.SIGSTOP)
-    state = Path(f"/proc/{process.pid}/stat")
-    stage.spin(lambda: state.read_text().rpartition(")")[2].split()[0] == "T")
-    driver.got.clear()
-    for send in sent:
-        send()
-        time.sleep(0.1)  # without spinning: the played driver says nothing else meanwhile
-    process.send_signal(signal.SIGCONT)
-
-
 @pytest.mark.parametrize(
     ("after", "status", "words"),
     [
         ("a stop and its end", STATUS.NO_DRIVER, "the arm was stopped after this was asked"),
+        ("what ended unheard", STATUS.NO_DRIVER, "the arm was stopped after this was asked"),
         ("another driver", STATUS.NO_DRIVER, "the arm was stopped after this was asked"),
         ("a withdrawal", STATUS.NOT_READY, "cancelled before anything was sent"),
     ],
@@ -146,6 +135,27 @@ def is_away(stage: Bench, driver: Driver, *sent: Callable[[], object]) -> None:
 def test_a_target_that_waits_moves_nothing_after_a_stop_or_a_withdrawal(
     stage: Bench, arm: Arm, driver: Driver, by: str, after: str, status: int, words: str
 ) -> None:
+    for story in told_after(stage, arm, driver, 0.1, by, after):
+        assert (story.status, words in story.message) == (status, True), story
+
+
+@pytest.mark.parametrize(
+    "after", ["nothing", "a stop and its end", "another driver", "a withdrawal"]
+)
+@pytest.mark.parametrize("by", ["compensate", "reach", "target_pose"])
+def test_a_target_from_before_a_long_absence_moves_nothing(
+    stage: Bench, arm: Arm, driver: Driver, by: str, after: str
+) -> None:
+    """What was said meanwhile is lost, or heard later: of the driver's states the last is kept."""
+    for story in told_after(stage, arm, driver, 2.0, by, after):
+        assert story.status != STATUS.SUCCESS
+        assert after != "nothing" or "this node was away" in story.message, story
+
+
+def told_after(
+    stage: Bench, arm: Arm, driver: Driver, pause_s: float, by: str, after: str
+) -> list[Any]:
+    """The answer to a target that waited while `kinematics` was frozen; none if it was aborted."""
     driver.instances, driver.event = (f"before {by}",), Motion.ACCEPTED
     driver.state, driver.answers = DriverState.READY, True
     client, stories = graph.COMPENSATE.client(stage.node), stage.collect(graph.COMPENSATION)
@@ -177,16 +187,60 @@ def test_a_target_that_waits_moves_nothing_after_a_stop_or_a_withdrawal(
             lambda: driver.says(DriverState.ESTOP),
             lambda: driver.says(DriverState.READY),
         ),
+        "what ended unheard": (lambda: setattr(driver, "stops", driver.stops + 2), driver.beat),
         "another driver": (lambda: setattr(driver, "instances", (f"after {by}",)), driver.beat),
         "a withdrawal": (lambda: withdraw.publish(String()),),
+        "nothing": (),
     }
-    is_away(stage, driver, send, *meanwhile[after])
+    driver.got.clear()
+    is_away(stage, stage.processes[0], pause_s, send, *meanwhile[after])
     stage.spin(lambda: stories or aborted())
-    for story in stories:
-        assert (story.status, words in story.message) == (status, True), story
+    told = list(stories)
     assert not driver.got
     stage.spin(lambda: stage.call(client, ask).success)
     reach.destroy()
+    return told
+
+
+def test_a_target_is_not_sent_if_a_stop_or_a_withdrawal_came_while_it_was_computed(
+    stage: Bench, arm: Arm, driver: Driver
+) -> None:
+    driver.instances, driver.event = ("with a predictor",), Motion.ACCEPTED
+    driver.state, driver.answers = DriverState.READY, True
+    client, happens = graph.compensate_by("both").client(stage.node), list[Callable[[], object]]()
+    withdraw = graph.WITHDRAWN.publisher(stage.node)
+    stage.connected(withdraw)
+
+    def predict(asked: Any, answer: PredictError.Response) -> PredictError.Response:
+        while happens:
+            happens.pop(0)()
+        for publisher in stage.node.publishers:
+            publisher.wait_for_all_acked(Duration(seconds=10.0))
+        answer.sigma, answer.message = math.nan, "it has no file"
+        return answer
+
+    server = graph.PREDICT_ERROR.server(stage.node, predict)
+    ask = request(declared_model(arm).pose(arm.mid), arm, execute=True)
+
+    def asked() -> bool:
+        answer = stage.call(client, ask)
+        return answer.success and "it has no file" in answer.message
+
+    for event, status, words in (
+        (
+            (partial(driver.says, DriverState.ESTOP), partial(driver.says, DriverState.READY)),
+            STATUS.NO_DRIVER,
+            "the arm was stopped after this was asked",
+        ),
+        ((partial(withdraw.publish, String()),), STATUS.NOT_READY, "cancelled before anything"),
+    ):
+        stage.spin(asked)
+        driver.got.clear()
+        happens.extend(event)
+        answer = stage.call(client, ask)
+        assert (answer.status, words in answer.message) == (status, True), answer.message
+        assert not happens and not driver.got
+    stage.node.destroy_service(server)
 
 
 def test_what_is_withdrawn_while_the_driver_takes_it_is_broken_off(

@@ -139,8 +139,15 @@ def test_an_order_that_waited_on_the_way_through_a_stop_moves_nothing(rig: Rig) 
     def inactive(transition: str) -> None:
         assert rig.change(getattr(Transition, f"TRANSITION_{transition}"))
 
+    def frozen() -> None:
+        """For less than orders may be old, but what was said meanwhile may be lost."""
+        rig.process.send_signal(signal.SIGSTOP)
+        by = time.monotonic() + 1.5
+        rig.stage.spin(lambda: time.monotonic() > by)
+        rig.process.send_signal(signal.SIGCONT)
+
     for stops in (
-        [partial(stopped, graph.HOLD)], [partial(stopped, graph.ESTOP)],
+        [frozen], [partial(stopped, graph.HOLD)], [partial(stopped, graph.ESTOP)],
         [partial(inactive, "DEACTIVATE"), partial(inactive, "ACTIVATE")],
     ):  # fmt: skip
         before = rig.stamps.next()

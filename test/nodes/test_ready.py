@@ -106,7 +106,7 @@ def test_a_silent_predictor_is_probed_by_targets_and_ever_less_often(
     arm: Arm, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     now, sent = [0.0], []
-    monkeypatch.setattr(predictor_client, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(predictor_client, "sleepless_s", lambda: now[0])
     caller = SimpleNamespace(present=True, answer=lambda number, within_s: None)
     caller.send = lambda request: sent.append(now[0]) or len(sent)
     client = PredictorClient(caller, arm, 0.5)

@@ -10,7 +10,9 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 from builtin_interfaces.msg import Time
 from driver_rig import Rig
 from nodes_bench import Bench
+from rclpy.duration import Duration as Lapse
 
+from longarm_comp.nodes.clock import sent_s, sleepless_s
 from longarm_comp.nodes.orders import Freshness
 from longarm_interfaces.msg import DriverState, Motion
 
@@ -54,9 +56,55 @@ def test_what_came_before_a_night_is_too_old_and_what_comes_a_minute_after_is_no
     assert fresh.away_s >= NIGHT_S and "away for so long" in fresh.too_old(Time())
     fresh._note_turn()
     assert fresh.away_s >= NIGHT_S
-    slept[0] += 40.0
-    fresh._note_turn()
+
+    def passes(seconds: float) -> None:
+        for _ in range(round(2.0 * seconds)):
+            slept[0] += 0.5
+            fresh._note_turn()
+
+    passes(40.0)
     assert "away for so long" in fresh.too_old(Time())
-    slept[0] += 30.0
-    fresh._note_turn()
+    passes(30.0)
     assert not fresh.too_old(Time())
+
+
+def test_an_order_from_before_an_absence_in_which_a_stop_may_be_missed_moves_nothing(
+    stage: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept, gettime = [0.0], time.clock_gettime
+    monkeypatch.setattr(time, "clock_gettime", lambda clock: gettime(clock) + slept[0])
+
+    def stamp() -> Time:
+        return stage.node.get_clock().now().to_msg()
+
+    fresh, before = Freshness(stage.node, 45.0), stamp()
+    slept[0] += 0.9
+    fresh._note_turn()
+    assert not fresh.too_old(before)
+    slept[0] += 1.1
+    assert "this node was away" in fresh.too_old(before)
+    fresh._note_turn()
+    assert "this node was away" in fresh.too_old(before)
+    assert not fresh.too_old(stamp())
+
+
+def test_a_message_that_waited_through_a_night_was_sent_before_it(
+    stage: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    slept, gettime = [0.0], time.clock_gettime
+    monkeypatch.setattr(
+        time,
+        "clock_gettime",
+        lambda clock: gettime(clock) + (slept[0] if clock == time.CLOCK_BOOTTIME else 0.0),
+    )
+    fresh, now = Freshness(stage.node, 45.0), stage.node.get_clock().now()
+    waits = sent_s(time.time_ns())
+    slept[0] = NIGHT_S
+    assert sent_s(time.time_ns()) - waits >= NIGHT_S
+    slept[0] = 0.0
+    hour = (now - Lapse(seconds=3600)).to_msg()
+    for stamp, told_s, earlier_s in (
+        (Time(), None, 0.0), (hour, None, 3600.0), (hour, sleepless_s(), 3600.0),
+        (Time(), sleepless_s() - 7.0, 7.0), (hour, sleepless_s() - 7200.0, 7200.0),
+    ):  # fmt: skip
+        assert sleepless_s() - fresh.sent_s(stamp, told_s) == pytest.approx(earlier_s, abs=5.0)

@@ -188,7 +188,7 @@ class Rig:
     def becomes(self, name: str, *events: int) -> Motion:
         """Wait until this, and nothing else, has become of a trajectory; the last message."""
         self.stage.spin(lambda: len(self.events(name)) >= len(events))
-        assert self.events(name) == list(events)
+        assert self.events(name) == list(events), self.told_of(name)
         return self.told_of(name)[-1]
 
     def is_in(self, state: int) -> DriverState:

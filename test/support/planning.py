@@ -76,6 +76,16 @@ class Planner:
         self, names: list[str], path: np.ndarray, seconds: float = 1.0, *,
         stamp: Time | None = None, **more: Any,
     ) -> Any:  # fmt: skip
+        """Send a plan, which the node accepts; its goal."""
+        sent = self.ask(names, path, seconds, stamp=stamp, **more)
+        self.stage.spin(sent.done)
+        assert sent.result().accepted
+        return sent.result()
+
+    def ask(
+        self, names: list[str], path: np.ndarray, seconds: float = 1.0, *,
+        stamp: Time | None = None, **more: Any,
+    ) -> Any:  # fmt: skip
         times = np.linspace(0.0, seconds, len(path))
         points = [
             JointTrajectoryPoint(positions=q, time_from_start=duration(t))
@@ -83,12 +93,9 @@ class Planner:
         ]
         trajectory = JointTrajectory(joint_names=names, points=points)
         trajectory.header.stamp = stamp or Time()
-        sent = self.client.send_goal_async(
+        return self.client.send_goal_async(
             TYPE.Goal(trajectory=trajectory, **more), lambda m: self.fed.append(m.feedback)
         )
-        self.stage.spin(sent.done)
-        assert sent.result().accepted
-        return sent.result()
 
     def ends(self, goal: Any, status: int) -> Any:
         """Wait for a goal's end, and check it; its result."""

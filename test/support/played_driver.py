@@ -1,5 +1,11 @@
 """The driver's side of the graph, played by a test."""
 
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
 from nodes_bench import Bench
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory
@@ -17,6 +23,7 @@ class Driver:
     def __init__(self, stage: Bench, arm: Arm) -> None:
         self.stage, self.arm = stage, arm
         self.state, self.event = DriverState.READY, Motion.ACCEPTED
+        self.stops = 0
         self.instances: tuple[str, ...] = ()
         self.answers = True
         self.got: list[JointTrajectory] = []
@@ -34,7 +41,8 @@ class Driver:
     def beat(self) -> None:
         """Tell the state, and where the joints are."""
         for instance in self.instances:
-            self._states.publish(DriverState(state=self.state, instance=instance, message="so"))
+            told = DriverState(state=self.state, message="so", instance=instance, stops=self.stops)
+            self._states.publish(told)
         self._joints.publish(joints_message(self.arm, self.arm.mid))
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
@@ -51,3 +59,18 @@ class Driver:
             motion.start = JointState(name=names, position=self.arm.mid.tolist())
             motion.points = taken.points
         self._motions.publish(motion)
+
+
+def is_away(
+    stage: Bench, process: subprocess.Popen[str], pause_s: float, *sent: Callable[[], object]
+) -> None:
+    """Freeze a node while all of this is sent; the played driver goes on telling its state."""
+    process.send_signal(signal.SIGSTOP)
+    state = Path(f"/proc/{process.pid}/stat")
+    stage.spin(lambda: state.read_text().rpartition(")")[2].split()[0] == "T")
+    for send in sent:
+        send()
+        by = time.monotonic() + pause_s
+        while time.monotonic() < by:
+            stage.executor.spin_once(timeout_sec=0.02)
+    process.send_signal(signal.SIGCONT)

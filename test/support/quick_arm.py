@@ -65,7 +65,7 @@ class QuickArm:
         self._walk, self._side = Walk(arm), np.ones(arm.n)
         self._look(arm.mid)
         self._id = ""
-        self._state = DriverState.READY
+        self._state, self.stops = DriverState.READY, 0
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = Node("quick_arm", context=self.context)
@@ -99,12 +99,15 @@ class QuickArm:
     def hold(self, on: bool, state: int = DriverState.HOLDING) -> None:
         """Hold the arm where it is, or let it go on; or another state in which it is stopped."""
         self._state = state if on else DriverState.READY
+        self.stops += 1
         if on:
             self._walk.ahead.clear()
         self._tell()
 
     def _tell(self) -> None:
-        self._states.publish(DriverState(state=self._state, message="by the test"))
+        self._states.publish(
+            DriverState(state=self._state, message="by the test", stops=self.stops)
+        )
 
     def _on_trajectory(self, message: JointTrajectory) -> None:
         told = Motion(id=order_id(message), event=Motion.ACCEPTED)

@@ -294,7 +294,7 @@ class _Run:
         It waits until the recorder has received as much as the client.
         """
         client, pace, recorder = self._client, self._pace, self._recorder
-        client.driver_takes()
+        client.ready_to_move()
         start = client.joints
         begun = client.send(visit.path, pace.move_s, pace.arm_speed)
         _, tips = client.look(visit.path, pace, start)
