@@ -145,10 +145,15 @@ class ReportDiscovered(ReportPart):
 
 
 class Written(ReportPart):
-    """Which model was written, and the mean error that a command may expect of each model."""
+    """Which model was written, and the mean error that a command may expect of each model.
+
+    `believed_mm` are the mean errors as commanded of the model before and of this one, at the
+    held-out rows that were not set aside.
+    """
 
     model: Stage
     expected_commanded_mm: dict[str, float]
+    believed_mm: Interval | None = None
 
 
 class Doubtful(ReportPart):
@@ -247,8 +252,9 @@ class DiagnosisReport(ReportPart):
         found = self.findings or any(cause.kept for cause in self.discovered)
         if found or self.held_out.after == NETWORK:
             return ""
+        believed = self.written.believed_mm if self.written else None
         commanded, seen = self.mean_errors
-        pair = commanded or seen
+        pair = believed or commanded or seen  # gross errors would hide what is gained
         if pair is None:
             return "No held-out error is known"
         before, after = pair

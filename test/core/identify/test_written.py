@@ -30,6 +30,7 @@ from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import parse_report, text
+from longarm_comp.sim.hidden.geometry import JointZero
 from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
 from studies.outside import PumpShake, RubberStop
 
@@ -102,6 +103,18 @@ def test_a_model_to_which_nothing_was_added_is_the_calibrated_one() -> None:
     assert found.written == "calibrated"
     nominal, calibrated = (found.proof.rows[k].mean_text for k in ("nominal", "calibrated"))
     assert f"{nominal} -> {calibrated}".replace(" mm ->", " ->") in found.summary
+
+
+def test_gross_errors_do_not_hide_what_a_calibration_gains() -> None:
+    rng = np.random.default_rng(3)
+    rows = session((JointZero(np.array([3e-3, -4e-3, 2e-3, 4e-3])),), n=60, seed=2)
+    xyz = rows.xyz.copy()
+    xyz[rng.choice(60, 5, replace=False)] += rng.normal(0.0, 0.3, (5, 3))
+    report = diagnose(ARM, dataclasses.replace(rows, xyz=xyz), network=False).report
+    (before, after), _ = report.mean_errors
+    assert after > 0.9 * before  # by the means of all rows nothing is gained
+    assert report.written.believed_mm[1] < 0.2 * report.written.believed_mm[0]
+    assert not report.nothing_gained
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:
