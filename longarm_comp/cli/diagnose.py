@@ -65,6 +65,8 @@ def command(arm: options.Arm, session: Path, output: Path, **how: Any) -> None:
             size = "; ".join(filter(None, (card.tip, card.sure, f"{card.figure} {card.improves}")))
             say(f"{duty.lower()}: {card.title} ({size}): {card.advice} {card.software}")
     say(f"{report.verdict}: {report.summary}")
+    if report.nothing_gained:
+        note(f"keep the model in use: longarm apply refuses this one. {report.nothing_gained}")
     note(found.diagnosis.set_aside.describe(found.diagnosis.fit.session))
     note(f"report in {output / 'report.html'}, model in {output / 'model.yaml'}")
 

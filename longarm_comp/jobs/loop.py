@@ -248,8 +248,8 @@ class Loop:
             "diagnosis": str(folder),
             "report": str(Path(folder.name) / "report.html"),
         }
-        if nothing_to_apply(folder, report):
-            return {**made, "why": f"nothing to apply: {report.summary}"}
+        if nothing := nothing_to_apply(report):
+            return {**made, "why": f"nothing to apply: {nothing}"}
         if f"applied {k}" not in self._journal and not self._agree(report):
             return {**made, "why": "not applied: there was no answer yes"}
         applied = self._journal.once(f"applied {k}", partial(self._apply_model, k, files))

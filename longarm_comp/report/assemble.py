@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from longarm_comp.core.calibration.plausible import mark_believed_rows
 from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -59,6 +60,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
         written=record.Written(
             model=diagnosis.written,
             expected_commanded_mm={k: 1e3 * v for k, v in diagnosis.expected.items()},
+            believed_mm=_believed_errors(diagnosis),
         ),
         doubtful=[
             record.Doubtful(
@@ -165,6 +167,16 @@ def _held_out(diagnosis: Diagnosis) -> record.HeldOut:
         commanded_ci95_mm=commanded,
         not_commanded=left_out,
     )
+
+
+def _believed_errors(diagnosis: Diagnosis) -> tuple[float, float] | None:
+    proof = diagnosis.proof
+    kept = mark_believed_rows(diagnosis.fit, diagnosis.held_out.take(proof.rows_at))
+    if not kept.any():
+        return None
+    names = "nominal", diagnosis.written
+    before, after = (np.linalg.norm(proof.commanded[name][kept], axis=1) for name in names)
+    return 1e3 * float(before.mean()), 1e3 * float(after.mean())
 
 
 def _list_outliers(diagnosis: Diagnosis) -> list[record.Outlier]:

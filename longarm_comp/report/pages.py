@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from longarm_comp.core.errors import InputError
-from longarm_comp.core.files import write_bytes, write_text
+from longarm_comp.core.files import check_writable, write_bytes, write_text
 from longarm_comp.core.identify.structure import SIGNIFICANT
 from longarm_comp.report import cards, plots, record, style, words
 from longarm_comp.report.detail import Detail
@@ -47,12 +47,19 @@ def data_uri(svg: bytes) -> str:
 
 
 def write_report(
-    report: record.DiagnosisReport, detail: Detail, folder: str | os.PathLike[str]
+    report: record.DiagnosisReport,
+    detail: Detail,
+    folder: str | os.PathLike[str],
+    write_others: Callable[[], object] = lambda: None,
 ) -> Path:
     """Write ``report.json``, ``report.html`` and ``plots/*.svg``; return the page's path.
 
     The same diagnosis gives the same bytes. Files of an earlier report are replaced; no other is
-    touched.
+    touched. An earlier report.json goes first and the new one comes last, so that it never stands
+    beside files of another diagnosis, wherever this is broken off.
+
+    Args:
+        write_others: writes the files that belong to the report.
 
     Raises:
         InputError: the folder cannot be written to, or a plot of another program has the name of
@@ -67,13 +74,16 @@ def write_report(
     for path in there:
         if path in files and not style.is_signed(path):
             raise InputError(path, "plot", "exists and is no plot of a diagnosis", "another folder")
+    check_writable(target)
+    (target / "report.json").unlink(missing_ok=True)
     for path, content in files.items():
         write_bytes(path, content)
     for path in there:
         if path not in files and _FIGURE.fullmatch(path.stem) and style.is_signed(path):
             path.unlink()
-    write_text(target / "report.json", record.text(report))
     write_text(target / "report.html", html)
+    write_others()
+    write_text(target / "report.json", record.text(report))
     return target / "report.html"
 
 

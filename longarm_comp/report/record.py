@@ -13,6 +13,7 @@ from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidate_states import TriedCandidate
 from longarm_comp.core.identify.findings import Finding, ReportPart
+from longarm_comp.core.identify.proof import NETWORK
 from longarm_comp.core.yaml_file import parse_declared
 
 DIGITS = 12
@@ -144,10 +145,15 @@ class ReportDiscovered(ReportPart):
 
 
 class Written(ReportPart):
-    """The name of the written model, and the error that a command may expect of each model."""
+    """The name of the written model, and the error that a command may expect of each model.
+
+    `believed_mm` are the mean errors as commanded of the model before and of this one, at the
+    held-out rows that were not set aside.
+    """
 
     model: Stage
     expected_commanded_mm: dict[str, float]
+    believed_mm: Interval | None = None
 
 
 class Doubtful(ReportPart):
@@ -219,6 +225,40 @@ class DiagnosisReport(ReportPart):
     doubtful: Sequence[Doubtful] = ()
     called: dict[str, str] = Field(default={})
     provenance: ReportProvenance
+
+    @property
+    def mean_errors(self) -> tuple[Interval | None, Interval | None]:
+        """Mean held-out errors of the model before and the written one, mm, each None if unknown.
+
+        The first pair is as commanded, the second as seen.
+        """
+        rows = {row.model: row for row in self.held_out.rows}
+        before, after = rows.get("nominal"), rows.get(self.written.model if self.written else "")
+        if before is None or after is None:
+            return None, None
+        seen = (before.mean_mm, after.mean_mm)
+        if before.commanded_mean_mm is None or after.commanded_mean_mm is None:
+            return None, seen
+        return (before.commanded_mean_mm, after.commanded_mean_mm), seen
+
+    @property
+    def nothing_gained(self) -> str:
+        """Say why the written model is not worth applying; empty if it is.
+
+        It is if anything was found, if a network helps, or if the calibration alone lowers the mean
+        held-out error by a tenth.
+        """
+        found = self.findings or any(cause.kept for cause in self.discovered)
+        if found or self.held_out.after == NETWORK:
+            return ""
+        believed = self.written.believed_mm if self.written else None
+        commanded, seen = self.mean_errors
+        pair = believed or commanded or seen  # gross errors would hide what is gained
+        if pair is None:
+            return "No held-out error is known"
+        before, after = pair
+        said = f"Held-out mean error of the model in use {before:.3f} -> {after:.3f} mm"
+        return "" if after < 0.9 * before else said
 
     def for_people(self) -> DiagnosisReport:
         """Return the same report with joints by their names instead of by rows of arm.yaml."""

@@ -258,14 +258,14 @@ def make_approach_columns(sides: np.ndarray) -> dict[str, Sequence[object] | np.
 
 # ------------------------------------------------------------------ touched points
 
-_TOUCHES = "touches.yaml"
+TOUCHES = "touches.yaml"
 """File of the known distances between touched points, in a bag's folder or beside a session."""
 
 
 def read_touches(session: Path) -> tuple[KnownDistance, ...]:
     """Return the known distances in the file of a bag's folder or beside a session; else ()."""
     for folder in (session, session.parent):
-        path = folder / _TOUCHES
+        path = folder / TOUCHES
         if path.is_file():
             declared = parse_declared(Touches, read_yaml(path), str(path))
             return known_distances(declared.touch_distances)
@@ -296,7 +296,7 @@ def write_touches(distances: tuple[KnownDistance, ...], folder: Path) -> None:
     Raises:
         InputError: the folder has a file with a distance that is not among them.
     """
-    path = folder / _TOUCHES
+    path = folder / TOUCHES
     if not distances:
         return
     if path.is_file() and not set(read_touches(path)) <= set(distances):

@@ -188,7 +188,7 @@ def apply(
         if not model.is_file():
             save_model(model, store(declared_model(arm), version=AS_DECLARED))
         aside = put_to_work(model, made.read_bytes(), target, trained)
-        at_work, errors = None if trained is None else target, _mean_errors(report)
+        at_work, errors = None if trained is None else target, report.mean_errors
         return Applied(model, stored.version, tuple(changed), at_work, refused, aside, *errors)
 
 
@@ -207,46 +207,16 @@ def read_addition(diagnosis: Path) -> DiagnosisReport:
         JobError: the diagnosis adds nothing, or its data were refused.
     """
     report = read_report(diagnosis)
-    if nothing := nothing_to_apply(diagnosis, report):
+    if nothing := nothing_to_apply(report):
         raise JobError(f"{diagnosis}: nothing to apply: {nothing}", verdict=report.verdict)
     return report
 
 
-def nothing_to_apply(diagnosis: Path, report: DiagnosisReport) -> str:
+def nothing_to_apply(report: DiagnosisReport) -> str:
     """Say why a diagnosis adds nothing to the model in use; empty if it adds something."""
     if report.verdict == "bad_data":
         return report.summary
-    found = report.findings or any(d.kept for d in report.discovered)
-    if found or (diagnosis / inputs.PREDICTOR).is_file():
-        return ""
-    commanded, seen = _mean_errors(report)
-    pair = commanded or seen
-    if pair is None:
-        return report.summary
-    # A calibration alone is worth applying where the held-out mean error falls by a tenth
-    if pair[1] < 0.9 * pair[0]:
-        return ""
-    said = f"Held-out mean error of the model in use {pair[0]:.3f} -> {pair[1]:.3f} mm"
-    return f"{report.summary} {said}"
-
-
-Pair = tuple[float, float]
-
-
-def _mean_errors(report: DiagnosisReport) -> tuple[Pair | None, Pair | None]:
-    """Return two pairs of mean held-out errors, before and after, mm: as commanded, and as seen.
-
-    A pair is None where it was not recorded.
-    """
-    rows = {row.model: row for row in report.held_out.rows}
-    before = rows.get("nominal")
-    after = None if report.written is None else rows.get(report.written.model)
-    if before is None or after is None:
-        return None, None
-    seen = (before.mean_mm, after.mean_mm)
-    if before.commanded_mean_mm is None or after.commanded_mean_mm is None:
-        return None, seen
-    return (before.commanded_mean_mm, after.commanded_mean_mm), seen
+    return f"{report.summary} {said}" if (said := report.nothing_gained) else ""
 
 
 def _read_before(made: StoredModel, file: Path, model: Path, arm: Arm) -> Model:

@@ -23,6 +23,7 @@ from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, CompensationOptions, Method, Status
 from longarm_comp.core.compensation.target_frame import Placement, find_placement
 from longarm_comp.core.compensation.unknown import history_joints
+from longarm_comp.core.data.measured_rows import array_of
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.html_table import html_table
@@ -263,10 +264,7 @@ def place_targets(
             for xyz, turn in zip(targets.xyz, targets.quaternion, strict=True)
         ]
     else:
-        try:
-            given = np.asarray(targets, dtype=float)
-        except (TypeError, ValueError) as error:
-            raise InputError("compensate", "targets", str(error), "numbers, m") from error
+        given = array_of("compensate", "targets", targets)
         given = given[None] if given.shape in ((3,), (4, 4)) else given
         if given.ndim not in (2, 3) or given.shape[1:] not in ((3,), (4, 4)) or not len(given):
             allowed = "positions (N, 3) or poses (N, 4, 4), N of at least 1"

@@ -3,7 +3,7 @@
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -118,8 +118,11 @@ class DiagnosisResult:
         removed.
         """
         target = Path(folder)
-        earlier = (target / "report.json").is_file()
-        write_report(self.report, detail(self.diagnosis, self.facts), target)
+        others = partial(self._write_others, target, (target / "report.json").is_file())
+        write_report(self.report, detail(self.diagnosis, self.facts), target, others)
+        return target
+
+    def _write_others(self, target: Path, earlier: bool) -> None:
         before, path = self.model_before, target / inputs.MODEL
         stored = self._model_file(target)
         if before is not None and before.resolve() != path.resolve():
@@ -128,7 +131,6 @@ class DiagnosisResult:
         for name, write in ((inputs.PREDICTOR, self._write_predictor), (FILE, self._write_next)):
             if not write(target / name) and earlier:
                 (target / name).unlink(missing_ok=True)
-        return target
 
     def _model_file(self, folder: Path) -> StoredModel:
         found, model, at = self.diagnosis, self.model, self.session_file

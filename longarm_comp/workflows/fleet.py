@@ -22,6 +22,7 @@ from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.core.files import check_regular, write_text
 from longarm_comp.core.processes import starting_workers
+from longarm_comp.sessions.csv import TOUCHES
 from longarm_comp.version import __version__
 from longarm_comp.workflows.cluster import run_tasks
 from longarm_comp.workflows.diagnose import diagnose_files
@@ -74,7 +75,7 @@ class Diagnosed:
         verdict: as in report.json; ``failed`` if there is none, with the reason in `summary`.
         in_use_mm: mean error of the model in use on the session; None if no model is in use.
         calibrated_mm, diagnosed_mm: mean held-out error of a new calibration of the geometry, and
-            of the last model of the diagnosis.
+            of the model that the diagnosis wrote.
         made_of: hash of the files and options from which the result was made.
     """
 
@@ -195,11 +196,14 @@ def fleet(
             raise InputError(mine, "output", f"has {own}", "a new folder, or that of a diagnosis")
     known, left = _read_known(output / WRITTEN), []
     for member, rows in zip(found, tables, strict=True):
-        files = [p for p in (member.arm, member.session, member.model) if p is not None]
+        beside = member.session.parent / TOUCHES
+        more = [p for p in (member.model, beside) if p is not None and p.is_file()]
+        files = [member.arm, member.session, *more]
         made_of = repr((*options, *map(file_hash, files)))
         kind, key = tables.index(rows), hashlib.sha256(made_of.encode()).hexdigest()
         before = known.get(member.name)
-        if before is not None and before.made_of == key and before.verdict != "failed":
+        there = (output / member.name / "report.json").is_file()
+        if before is not None and before.made_of == key and before.verdict != "failed" and there:
             made[member.name] = replace(before, kind=kind)
         else:
             left.append((member, kind, key))
@@ -287,7 +291,8 @@ def _diagnose_arm(
         for place in f.where
     ] + [FleetFinding(c.title, c.set[0], c.tip_mm.rms) for c in found.report.discovered if c.kept]
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
-    calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", list(left)[-1]))
+    written = found.diagnosis.compared_stages[1]  # with the network, if there is one
+    calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", written))
     made = Diagnosed(
         member.name,
         kind,

@@ -221,6 +221,22 @@ def test_unproven_gain_probabilities_and_doubts_are_said(reports: Path) -> None:
     assert "Structure is left" in page_of(reports / "partly").words()
 
 
+@pytest.mark.parametrize("gained", [0.95, 1.1, 0.8])
+def test_the_page_advises_a_model_that_is_worth_applying_and_no_other(
+    gained: float, tmp_path: Path
+) -> None:
+    report, detail = sample("noise")
+    before, *_, after = report["held_out"]["rows"]
+    for name in ("mean_mm", "commanded_mean_mm"):
+        after[name] = before[name]  # as of rows that hold a few gross errors
+    report["written"]["believed_mm"] = (2.0, 2.0 * gained)
+    write_sample(report, detail, tmp_path)
+    said, worth = page_of(tmp_path).words(), gained < 0.9
+    assert ("Use the new model.yaml" in said) == worth
+    assert ("Keep the model in use" in said) == (not worth)
+    assert bool(record.read_report(tmp_path).nothing_gained) == (not worth)
+
+
 def test_candidates_come_best_first_and_are_folded(reports: Path) -> None:
     page = page_of(reports / "named")
     lines = [line for line in page.tables["candidates"] if not is_head(line)]

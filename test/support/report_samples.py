@@ -177,7 +177,11 @@ def base(rng: np.random.Generator) -> Diagnosis:
         ],
         "discovered": [],
         "none_of_these": 0.59,
-        "written": {"model": "calibrated", "expected_commanded_mm": {"calibrated": 0.71}},
+        "written": {
+            "model": "calibrated",
+            "expected_commanded_mm": {"calibrated": 0.71},
+            "believed_mm": None,
+        },
         "doubtful": [],
         "called": {},
         "provenance": {
@@ -261,6 +265,7 @@ def named(rng: np.random.Generator) -> Diagnosis:
         "written": {
             "model": "with_effects",
             "expected_commanded_mm": {"calibrated": 2.61, "with_effects": 0.71},
+            "believed_mm": None,
         },
     }
     report["structure_left"] = report["structure_left"] | {"share_explained": 0.97}

@@ -173,7 +173,9 @@ def test_a_diagnosis_older_than_the_model_at_work_is_refused(
         apply(diagnosed("of_a_model", before=other), ARM, tmp_path / "none" / "model.yaml")
 
 
-def held_out(folder: Path, nominal_mm: float, with_effects_mm: float) -> None:
+def held_out(
+    folder: Path, nominal_mm: float, with_effects_mm: float, after: str = "with_effects"
+) -> None:
     """Writes these held-out means as commanded into a diagnosis; as seen they fall to a tenth."""
     report = record.read_report(folder)
     row = dict.fromkeys(record.ErrorRow.model_fields, 0.0)
@@ -186,7 +188,7 @@ def held_out(folder: Path, nominal_mm: float, with_effects_mm: float) -> None:
             ("with_effects", 0.1, with_effects_mm),
         )
     ]
-    table = report.held_out.model_copy(update={"rows": rows})
+    table = report.held_out.model_copy(update={"rows": rows, "after": after})
     written = record.Written(model="with_effects", expected_commanded_mm={})
     changed = report.model_copy(update={"held_out": table, "written": written})
     (folder / "report.json").write_text(record.text(changed))
@@ -201,7 +203,7 @@ def test_a_diagnosis_that_adds_nothing_is_refused(
     with pytest.raises(JobError, match="nothing to apply"):
         apply(folder, ARM, at_work(tmp_path))
     assert not at_work(tmp_path).exists()
-    (folder / "predictor.npz").touch()  # a network that helped is something to add
+    held_out(folder, 1.0, 0.95, after="with_network")  # one that helped is something to add
     if verdict != "bad_data":
         apply(folder, ARM, at_work(tmp_path), network=False)
 

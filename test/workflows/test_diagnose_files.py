@@ -8,7 +8,9 @@ from report_pages import sample, write_sample
 from small_arm import ARM
 
 from longarm_comp.core.errors import InputError, JobError
-from longarm_comp.report.record import read_report
+from longarm_comp.report.pages import write_report
+from longarm_comp.report.record import parse_report, read_report
+from longarm_comp.workflows.apply import read_addition
 from longarm_comp.workflows.diagnose import diagnose_files
 
 
@@ -59,3 +61,20 @@ def test_refused_data_leave_an_earlier_diagnosis_as_it_is(tmp_path: Path) -> Non
         refuse()
         assert held() == before
         assert notes.pop() == f"{folder} keeps the diagnosis of before"
+
+
+def test_a_diagnosis_that_is_broken_off_leaves_no_report_beside_another_model(
+    tmp_path: Path,
+) -> None:
+    report, detail = sample("named")
+    write_sample(report, detail, tmp_path)
+
+    def breaks_off() -> None:
+        raise JobError("the disk is full")
+
+    with pytest.raises(JobError, match="full"):
+        write_report(parse_report(report), detail, tmp_path, breaks_off)
+    with pytest.raises(InputError, match=r"report\.json"):
+        read_addition(tmp_path)
+    write_sample(report, detail, tmp_path)
+    assert read_addition(tmp_path).verdict == "named"

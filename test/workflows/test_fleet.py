@@ -12,6 +12,7 @@ import pytest
 from click.testing import CliRunner
 from few_effects import few_effects
 from fleet_arms import arm_yaml, rows_of
+from hidden_arm import at, session
 from report_pages import Page
 from small_arm import measured
 
@@ -20,7 +21,9 @@ from longarm_comp.cli.diagnose import fleet as command
 from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.report.pages import fleet_page
 from longarm_comp.sessions.csv import write_csv
+from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.workflows import fleet as workflow
+from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose_files
 from longarm_comp.workflows.fleet import Diagnosed, FleetFinding, compare_arms, fleet, list_members
 from studies.fleet import command as study
 
@@ -137,6 +140,48 @@ def test_folders_without_arms_are_refused(tmp_path: Path) -> None:
     (tmp_path / "bare" / "rows.csv").write_text("q1,x\n1,2\n", encoding="utf-8")
     done = CliRunner().invoke(command, [str(tmp_path), "-o", str(tmp_path / "out")])
     assert isinstance(done.exception, JobError)
+
+
+@pytest.mark.usefixtures("few_names")
+def test_its_figure_of_a_diagnosis_is_that_of_the_model_which_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fuller model that failed its proof is in the report's table, and in no file."""
+
+    def proof_fails(*files: Any, **how: Any) -> DiagnosisResult:
+        made = diagnose_files(*files, **how)
+        return dataclasses.replace(
+            made, diagnosis=dataclasses.replace(made.diagnosis, written="calibrated")
+        )
+
+    arm_yaml(tmp_path / "arms" / "one")
+    write_csv(session((JointGain(at(2, 0.02)),)), tmp_path / "arms" / "one" / "rows.csv")
+    (named,) = fleet(tmp_path / "arms", tmp_path / "out", network=False)
+    assert named.diagnosed_mm and named.calibrated_mm
+    assert named.diagnosed_mm < 0.8 * named.calibrated_mm
+    monkeypatch.setattr(workflow, "diagnose_files", proof_fails)
+    (failed,) = fleet(tmp_path / "arms", tmp_path / "again", network=False)
+    assert failed.diagnosed_mm == failed.calibrated_mm == named.calibrated_mm
+
+
+@pytest.mark.usefixtures("few_names")
+def test_it_diagnoses_again_what_was_told_beside_a_session_or_is_gone(
+    folders: Path, tmp_path: Path
+) -> None:
+    seen: list[str] = []
+
+    def run() -> list[str]:
+        seen.clear()
+        fleet(tmp_path, tmp_path / "out", network=False, progress=lambda name, _: seen.append(name))
+        return seen
+
+    shutil.copytree(folders / "sound", tmp_path / "sound")
+    assert run() == ["sound"]
+    assert run() == []
+    (tmp_path / "sound" / "touches.yaml").write_text("touch_distances: []\n", encoding="utf-8")
+    assert run() == ["sound"]
+    shutil.rmtree(tmp_path / "out" / "sound")
+    assert run() == ["sound"]
 
 
 @pytest.mark.usefixtures("few_names")

@@ -250,7 +250,8 @@ def freeze(
     Raises:
         InputError: they do not have a given shape, or a value is no number of the given kind.
     """
-    if issubclass(kind, np.integer) and getattr(values, "dtype", None) != kind:
+    plain = not isinstance(values, np.ma.MaskedArray)
+    if issubclass(kind, np.integer) and not (plain and getattr(values, "dtype", None) == kind):
         numbers, most = array_of(where, name, values), np.iinfo(kind).max
         wrong = ~((numbers == np.floor(numbers)) & (np.abs(numbers) <= most))
         if wrong.any():
@@ -265,8 +266,16 @@ def freeze(
 
 
 def array_of(where: str, name: str, values: ArrayLike, kind: type = float) -> np.ndarray:
-    """Return values as an array of a kind; InputError if they are of another, or of no shape."""
+    """Return values as an array of a kind; a masked number is NaN: none was measured.
+
+    Raises:
+        InputError: the values are of another kind, or of no shape.
+    """
     try:
-        return np.asarray(values, dtype=kind)
+        if np.iscomplexobj(values):  # NumPy would leave out the imaginary part
+            raise TypeError("complex numbers")
+        if isinstance(given := values, np.ma.MaskedArray):
+            given = np.ma.filled(given, "") if kind is str else np.ma.filled(given * 1.0, np.nan)
+        return np.asarray(given, dtype=kind)
     except (TypeError, ValueError) as error:
         raise InputError(where, name, str(error), "text" if kind is str else "numbers") from error

@@ -107,6 +107,8 @@ class Session(MeasuredRows):
             given = getattr(self, field_name).items()
             made = {k: freeze(self.source, k, v, kind, (n_rows,)) for k, v in given}
             object.__setattr__(self, field_name, made)
+        if self.sigma is not None and (self.sigma <= 0).any():
+            raise self.error("sigma", f"{self.sigma.min():g} m", "above 0, or NaN")
         for name, values in self.columns.items():
             if np.isinf(values).any() or (np.isnan(values).any() and not INCLINATION.match(name)):
                 raise self.error(name, "not finite", "a finite number in every row")

@@ -43,8 +43,8 @@ class ProvedModels:
         held_out: the rows of the proof.
         folds: the same models fitted without some rows; every held-out row is in one fold.
         proof: their errors at these rows, and those with a network if there is one.
-        expected: by name of `fits`, the mean error, m, that a command is expected to have; empty if
-            no held-out row tells the tip's position.
+        expected: by name of the fits that differ, the mean error, m, that a command is expected to
+            have; empty if no held-out row tells the tip's position.
         written: name of the model to write.
         failed: how a fuller model failed its proof; empty if none did.
     """
@@ -128,12 +128,14 @@ def prove_written(
         held_out = test.take(test.seen)
         folds = (Fold(models, fits, held_out, np.arange(len(held_out))),)
     proof = prove_models(folds)
-    expected = proof.expected_errors(search.found, list(fits))
+    bare = fits[CALIBRATED]  # the same fit is no second model, whatever the folds added
+    offered = [name for name in fits if name == CALIBRATED or fits[name] is not bare]
+    expected = proof.expected_errors(search.found, offered)
     seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
     if len(proof.rows_at):
         choice = choose_written(expected, seen, proof.fold)
     else:  # only orientations were measured
-        turns = {name: proof.turns[name] for name in fits}
+        turns = {name: proof.turns[name] for name in offered}
         choice = choose_written(turns, turns, proof.fold_of_turned, "mrad")
     means = {name: float(each.mean()) for name, each in expected.items() if len(each)}
     return ProvedModels(search, folded, models, held_out, folds, proof, means, *choice)

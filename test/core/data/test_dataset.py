@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_arm import measured
+from small_arm import ARM, measured
 
 from longarm_comp.core.arm.history import recorded_history
+from longarm_comp.core.compensation.result import Status
 from longarm_comp.core.data.holdout import blocked_split, spread_rows
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
+from longarm_comp.core.model.model import Model
+from longarm_comp.workflows.compensate import compensate
 
 
 def test_direction_comes_from_the_row_before() -> None:
@@ -120,6 +123,11 @@ def test_positions_of_a_table_of_mixed_columns_are_read(rng: np.random.Generator
         ("xyz", None),
         ("index", np.arange(2)),
         ("columns", {"t_s": np.array([0.0, np.nan, 1.0])}),
+        ("q", np.ones((3, 4)) + 1j),
+        ("q", np.ma.masked_less(np.ones((3, 4)), 2)),
+        ("index", np.ma.masked_less(np.arange(3), 1)),
+        ("sigma", np.zeros((3, 3))),
+        ("sigma", np.full((3, 3), -1e-4)),
     ],
 )
 def test_what_is_no_session_is_refused(name: str, value: object, rng: np.random.Generator) -> None:
@@ -127,6 +135,16 @@ def test_what_is_no_session_is_refused(name: str, value: object, rng: np.random.
     fields = {"q": good.q, "xyz": good.xyz} | {name: value}
     with pytest.raises(InputError):
         Session.record(**fields)  # type: ignore[arg-type]
+
+
+def test_what_an_array_masks_was_not_measured(rng: np.random.Generator) -> None:
+    good = measured(5, rng)
+    lost = np.repeat([[False], [True], [False], [False], [True]], 3, axis=1)
+    session = Session.record(good.q, np.ma.masked_array(good.xyz, mask=lost))
+    assert session.seen.tolist() == [True, False, True, True, False]
+    targets = np.ma.masked_array(good.xyz, mask=lost)
+    status = [answer.status for answer in compensate(Model(ARM), targets, frame="base")]
+    assert [each is Status.BAD_TARGET for each in status] == [False, True, False, False, True]
 
 
 def test_a_history_of_other_rows_is_refused(rng: np.random.Generator) -> None:

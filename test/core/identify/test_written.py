@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from discover_rows import HELD_OUT, ROWS, calibrated, measured
+from hidden_arm import session
 from small_arm import ARM
 
 from longarm_comp.core.arm.context import Context
@@ -29,7 +30,8 @@ from longarm_comp.core.learn.predictor import LearnedGain
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import load_model, read_stored
 from longarm_comp.report.record import parse_report, text
-from longarm_comp.workflows.diagnose import DiagnosisResult
+from longarm_comp.sim.hidden.geometry import JointZero
+from longarm_comp.workflows.diagnose import DiagnosisResult, diagnose
 from studies.outside import PumpShake, RubberStop
 
 FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
@@ -92,6 +94,27 @@ def test_the_least_is_written_and_of_equals_the_plainer() -> None:
     assert choose_written(lengths, even, np.zeros(9)) == (names[1], ""), (
         "a doubt about the camera fails no proof"
     )
+
+
+def test_a_model_to_which_nothing_was_added_is_the_calibrated_one() -> None:
+    """A fold may add an effect; the fit to all rows is still that of the geometry alone."""
+    found = diagnose(ARM, session(n=20, seed=8), network=False).diagnosis
+    assert found.fits["with_effects"] is found.fits["calibrated"]
+    assert found.written == "calibrated"
+    nominal, calibrated = (found.proof.rows[k].mean_text for k in ("nominal", "calibrated"))
+    assert f"{nominal} -> {calibrated}".replace(" mm ->", " ->") in found.summary
+
+
+def test_gross_errors_do_not_hide_what_a_calibration_gains() -> None:
+    rng = np.random.default_rng(3)
+    rows = session((JointZero(np.array([3e-3, -4e-3, 2e-3, 4e-3])),), n=60, seed=2)
+    xyz = rows.xyz.copy()
+    xyz[rng.choice(60, 5, replace=False)] += rng.normal(0.0, 0.3, (5, 3))
+    report = diagnose(ARM, dataclasses.replace(rows, xyz=xyz), network=False).report
+    (before, after), _ = report.mean_errors
+    assert after > 0.9 * before  # by the means of all rows nothing is gained
+    assert report.written.believed_mm[1] < 0.2 * report.written.believed_mm[0]
+    assert not report.nothing_gained
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:
