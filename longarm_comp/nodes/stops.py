@@ -10,7 +10,8 @@ from rclpy.node import Node
 
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.devices.follower_report import EventKind, FollowerState
-from longarm_comp.devices.servo_arm import ServoArm, free_servos
+from longarm_comp.devices.kept_turns import KeptTurns
+from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
 from longarm_comp.devices.state_folder import state_folder
@@ -78,6 +79,7 @@ class Stops:
             raise InputError(where(node), "state", folder, "an absolute path")
         self._site, self._servos = site, servos
         self._was_on = False  # the torque, when the emergency stop was asked for
+        self._turns = KeptTurns(kept, arm, servos.bus.port, servos.ids)
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
@@ -197,6 +199,23 @@ class Stops:
             self._latch.ask(Stop.FAULT, doubt)
             self._latch.keep(_MOMENT_S)
 
+    @property
+    def away(self) -> frozenset[str]:
+        """The joints whose servos a loss of power would bring back to another turn."""
+        return self._turns.away
+
+    def take_over(self, arm: ServoArm) -> None:
+        """Note that from now on an arm just configured switches the torque off."""
+        self.keep_doubt(arm.returned)
+        self.owe_off(False)
+        self.let_go()
+
+    def keep_turns(self, arm: ServoArm) -> None:
+        """Keep a doubt about the servos' turns, and then which joints are `away`."""
+        self.keep_doubt(arm.doubt)
+        if not (self._latch.writing or self._latch.trouble):
+            self._turns.keep(arm.away)
+
     def let_go(self) -> None:
         """Switch torque off under an emergency stop, also if the driver is not configured."""
         if not self.estop:
@@ -229,7 +248,7 @@ class Stops:
     def _pay(self) -> None:
         if self._owed:
             with suppress(LongarmError):
-                free_servos(self._servos)
+                self._servos.free_servos()
                 self._owed = False
 
     def _torque_yet(self, stop: Stop) -> str:

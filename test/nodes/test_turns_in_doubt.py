@@ -1,17 +1,21 @@
 """A doubt about a servo's turns outlasts the driver's process, and ends by a person's word."""
 
+import signal
 from collections.abc import Iterator
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+import driver_rig as support
 from driver_rig import Rig, driver_rig
 from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 from stops_bench import StoppedArm
 
+from longarm_comp.devices.kept_turns import KeptTurns
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import interfaces as graph
 from longarm_interfaces.msg import DriverState
 
@@ -70,6 +74,51 @@ def test_a_lost_count_ends_when_the_driver_is_configured_again_and_reset(rig: Ri
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_in(DriverState.READY)
     assert rig.driving()
+
+
+@pytest.fixture(scope="module")
+def far(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """An arm whose shoulder goes into the second turn of its servo."""
+    with pytest.MonkeyPatch.context() as patch:
+        text = support.CONFIG.replace("zero_ticks: 2048.0", "zero_ticks: 3500.0")
+        patch.setattr(support, "CONFIG", text)
+        with driver_rig(tmp_path_factory.mktemp("far")) as made:
+            yield made
+
+
+@pytest.mark.parametrize("ended", ["killed", "stopped", "silent"])
+def test_a_count_that_was_lost_while_no_driver_ran_is_a_fault(far: Rig, ended: str) -> None:
+    """It reads in the turn of power-on, which it had left."""
+
+    def away() -> frozenset[str]:
+        return KeptTurns(state_folder(), "", str(far.link), ()).away
+
+    far.in_order().goes(shoulder=0.9)
+    for lost in (False, True):
+        far.stage.spin(lambda: away() == {"shoulder"})
+        if ended == "silent":
+            far.emulator.faults.silent |= {1, 2}
+        far.process.send_signal(signal.SIGKILL if ended == "killed" else signal.SIGINT)
+        assert far.process.wait(timeout=300) == {"killed": -9, "stopped": 0, "silent": 3}[ended]
+        if lost:
+            far.emulator.power_cycle(1)
+            with far.emulator.motor(1) as motor:
+                motor.seen -= TURN
+        far.emulator.faults.silent.clear()
+        far.start()
+        if not lost:
+            far.is_in(DriverState.READY)
+    assert LOST in far.is_in(DriverState.FAULT).message
+    far.stage.spin(lambda: not away())
+    far.rests()
+    assert not far.emulator.torques_on()[1]
+    assert far.call(graph.RESET, Trigger.Request()).success
+    far.is_in(DriverState.READY)
+    assert far.driving()
+    far.ends()
+    with far.emulator.motor(1) as motor:
+        motor.seen = motor.position
+    far.start()
 
 
 @pytest.mark.parametrize("alarm", ["overload", "overheat", "hot", "voltage", "silent"])
