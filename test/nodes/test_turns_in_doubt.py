@@ -2,6 +2,7 @@
 
 import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -13,10 +14,12 @@ from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 from stops_bench import StoppedArm
 
-from longarm_comp.devices.kept_turns import KeptTurns
+from longarm_comp.devices.kept_turns import TURNS, KeptTurns
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
 from longarm_interfaces.msg import DriverState
 
 TURN = 4096.0
@@ -180,3 +183,36 @@ def test_a_doubt_is_kept_beside_a_fault_and_asked_for_once(driver: StoppedArm) -
         driver.stops.keep_doubt("a may have lost count")
     said = driver.stops.standing
     assert said.count("a may have lost count") == 1 and "its torque is off" in said
+
+
+def test_what_the_servos_counted_is_forgotten_only_once_the_doubt_about_it_is_kept(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(file: object) -> None:
+        raise OSError(28, "full")
+
+    stops, arm = driver.stops, driver.arm
+    assert arm is not None
+    arm._counts.away = frozenset("a")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", fails)
+        arm._counts.lose({1})
+        stops.keep_turns(arm)
+        driver.stage.spin(lambda: stops.unkept)
+        stops.keep_turns(arm)
+        assert not stops.away
+    driver.stage.spin(lambda: not stops.unkept)
+    stops.keep_turns(arm)
+    assert stops.away == {"a"}
+
+
+def test_simulated_servos_have_counted_no_turns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    up = BringUp(arm=folder("config") / "arm_demo.yaml", sim=True)
+    file = Path(up.parameters("servo_driver", "bus")["state"]) / TURNS / "arm.txt"
+    file.parent.mkdir(parents=True)
+    file.touch()
+    up.commands(tmp_path)
+    assert not file.exists()
