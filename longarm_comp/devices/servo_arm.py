@@ -5,7 +5,7 @@ Not thread-safe. Times are monotonic seconds and are passed in.
 
 import contextlib
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 from longarm_comp.core.errors import JobError
@@ -51,17 +51,9 @@ class Cycle:
     trouble: str  # message of a bus error; empty without one
 
 
-def free_servos(config: ServoConfig) -> None:
-    """Switch the torque of an arm's servos off, without checking their models or settings.
-
-    Raises:
-        BusUnplugged, IncompleteReply, ServoFault: not every servo confirmed it.
-    """
-    bus = config.open_bus()
-    try:
-        bus.torque(list(config.ids.values()), on=False)
-    finally:
-        bus.close()
+def _say_doubt(names: list[str]) -> str:
+    said = "may have lost count of servo turns: see where it stands"
+    return f"{', '.join(names)} {said}" if names else ""
 
 
 class ServoArm:
@@ -77,8 +69,10 @@ class ServoArm:
             is open, whichever servos answer.
         journal: journal of setups of this arm; its entries are removed once the servos are set as
             configured.
+        away: the joints that were `away` when an earlier process last read them.
 
     Attributes:
+        returned: why the count of turns may have been lost before; or "".
         said: messages for the user about changes of the servos' settings.
     """
 
@@ -89,13 +83,14 @@ class ServoArm:
         *,
         stopped: bool = False,
         journal: SetupJournal | None = None,
+        away: Collection[str] = (),
     ) -> None:
-        self._journal = journal
+        self._journal, self.returned = journal, ""
         self.config, self.follower = config, follower or TrajectoryFollower(config)
         self._ids = list(config.ids.values())
         self._speeds: dict[int, float] = {}
-        self._counts, self._now = TurnCounts(config), math.nan  # and when the last cycle began
-        self._moved = ""  # a joint that was moved while the port was lost, and may have lost count
+        self._counts, self._now = TurnCounts(config, away), math.nan  # when a cycle last began
+        self._moved: list[str] = []  # joints moved while the port was lost: may have lost count
         self.said: list[str] = []
         self.powered = False  # whether the torque was switched on
         self.owing_off = stopped  # whether torque off is due, and not every servo confirmed it
@@ -121,6 +116,8 @@ class ServoArm:
             if self.powered:
                 self._check_unmoved(bus)
             self._set_turns(bus)
+            if not again:
+                self.returned = _say_doubt(self._counts.begin(self._now, bus.read(self._ids)))
         except BaseException:
             bus.close()
             raise
@@ -165,11 +162,11 @@ class ServoArm:
     def _check_unmoved(self, bus: SerialServoBus) -> None:
         """Refuse an arm that does not stand where it was held when the port was lost."""
         why = "this port leads to another arm, or the arm was moved: configure the driver again"
-        states, self._moved = bus.read(self._ids), ""
+        states, self._moved = bus.read(self._ids), []
         for name, joint in self.config.joints.items():
             at, stood = states[joint.servo_id].position_ticks, self._counts.stood[joint.servo_id]
             if abs(at - stood) > self.config.follower.lost_error_ticks:
-                self._moved = "" if joint.absolute else name
+                self._moved = [] if joint.absolute else [name]
                 raise JobError(why, servo_id=joint.servo_id, reads=at, stood=stood)
 
     def _set_turns(self, bus: SerialServoBus) -> None:
@@ -251,9 +248,13 @@ class ServoArm:
 
     @property
     def doubt(self) -> str:
-        """Why the arm may not stand where it reads (a new `ServoArm` could not know it); or ""."""
-        names = ", ".join(filter(None, (*self._counts.doubtful, self._moved)))
-        return f"{names} may have lost count of servo turns: see where it stands" if names else ""
+        """Why the arm may not stand where it reads, by what was read since it was made; or ""."""
+        return _say_doubt([*self._counts.doubtful, *self._moved])
+
+    @property
+    def away(self) -> frozenset[str]:
+        """The joints whose servos a loss of power would bring back to another turn."""
+        return self._counts.away
 
     def accept(self, trajectory: JointTrajectory, now: float) -> Accepted:
         """Accept a trajectory (`TrajectoryFollower.accept`); JobError also while torque is off."""

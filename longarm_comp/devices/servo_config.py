@@ -195,6 +195,18 @@ class ServoConfig(ServoSettings):
             bus.protocol, bus.port, bus.baudrate, self.models, bus.reply_timeout_s, bus.retries
         )
 
+    def free_servos(self) -> None:
+        """Switch the torque of all servos off, without checking their models or settings.
+
+        Raises:
+            BusUnplugged, IncompleteReply, ServoFault: not every servo confirmed it.
+        """
+        bus = self.open_bus()
+        try:
+            bus.torque(list(self.ids.values()), on=False)
+        finally:
+            bus.close()
+
     @classmethod
     def load(cls, path: str | Path) -> ServoConfig:
         """Read a YAML file, plain or as ROS parameters. Raises InputError naming the field."""

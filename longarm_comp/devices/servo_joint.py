@@ -154,10 +154,16 @@ class JointConfig(ServoSettings):
         """
         if not self.multi_turn:
             return -math.inf, math.inf
-        dialect = protocols()[self.servo.protocol]()
-        low, high = dialect.turn_at_power_on(self.servo, stored)
+        low, high = self.turn_at_power_on(stored)
         above = direction * self.home / self.si_per_tick
         return low - above - 0.5, high - above + 0.5
+
+    def turn_at_power_on(self, stored: Mapping[str, int]) -> tuple[int, int]:
+        """Return the lowest and highest reading of a servo for many turns at power-on, ticks.
+
+        Only what it reads there in any case: see `Dialect.turn_at_power_on`.
+        """
+        return protocols()[self.servo.protocol]().turn_at_power_on(self.servo, stored)
 
     @property
     def home(self) -> float:

@@ -67,6 +67,7 @@ class StopLatch:
         self.standing: dict[Stop, str] = {}
         self._disk, self._owing = futures.ThreadPoolExecutor(max_workers=1), False
         self._writing = futures.Future[None]()  # the last write
+        self._due_s = 0.0  # when the disk counts as hanging, monotonic s
         try:
             for stop in Stop:
                 for file in self._list_files(stop):
@@ -88,11 +89,19 @@ class StopLatch:
         return "; ".join((*said, *lasts))
 
     @property
+    def writing(self) -> bool:
+        """True while a write is under way that may still end in time."""
+        return not self._writing.done() and time.monotonic() < self._due_s
+
+    @property
     def trouble(self) -> str:
-        """The reason why the stops would not outlast this process; empty if they would."""
-        if not self._writing.done():
-            return f"the disk of {self._folder} does not answer"
-        return str(self._writing.exception() or "")
+        """The reason why the stops would not outlast this process; empty if they would.
+
+        It is empty while `writing`.
+        """
+        if self._writing.done():
+            return str(self._writing.exception() or "")
+        return "" if self.writing else f"the disk of {self._folder} does not answer"
 
     def ask(self, stop: Stop, why: str = "") -> None:
         """Put a stop in force; `keep` then writes it.
@@ -112,15 +121,20 @@ class StopLatch:
         files = [file for stop in self.standing for file in self._list_files(stop)]
         futures.wait([self._disk.submit(_make_files, files)], within_s)
 
-    def keep(self, within_s: float = _DISK_S) -> None:
-        """Write the files that are not written yet or are gone; wait for this so long at most, s.
+    def keep(self, within_s: float | None = None) -> None:
+        """Write the files that are not written yet or are gone.
 
         If this fails, `trouble` gives the reason; call it again then.
+
+        Args:
+            within_s: longest wait for it, s; None: as long as a disk may take that does not hang.
         """
         if self._owing or (self.standing and self._writing.done()):
             anew, self._owing = self._owing or bool(self.trouble), False
+            if self._writing.done():
+                self._due_s = time.monotonic() + _DISK_S
             self._writing = self._disk.submit(self._write_files, self.standing, anew)
-        futures.wait([self._writing], within_s)
+        futures.wait([self._writing], _DISK_S if within_s is None else within_s)
 
     def _write_files(self, standing: Mapping[Stop, str], anew: bool) -> None:
         texts = {

@@ -1,9 +1,10 @@
 """Follows the readings of servos, to know whether they still tell where the joints stand."""
 
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from longarm_comp.core.errors import JobError
+from longarm_comp.devices.servo_bus.bus import AGREE_TICKS
 from longarm_comp.devices.servo_bus.state import ServoState
 from longarm_comp.devices.servo_config import ServoConfig
 
@@ -17,16 +18,40 @@ class TurnCounts:
     passed the place where an encoder of one turn jumps. It is also in doubt from when a joint moved
     unread for so long that its servo may have made half a turn, or sank without power.
 
+    Args:
+        away: the joints that were `away` when an earlier process last read them.
+
     Attributes:
         stood: last readings, ticks by servo id.
+        away: the joints whose servos a loss of power would bring back to another turn.
     """
 
-    def __init__(self, config: ServoConfig) -> None:
+    def __init__(self, config: ServoConfig, away: Collection[str] = ()) -> None:
+        self._were_away = away
         self._joints, self._unmoved_ticks = config.joints, config.follower.lost_error_ticks
         self.stood: dict[int, int] = {}
         self._read_at: dict[int, float] = {}
         self._jumps: Counter[int] = Counter()  # turns by which readings have jumped, by servo id
         self._lost: set[int] = set()
+        self.away: frozenset[str] = frozenset()
+
+    def begin(self, now: float, states: Mapping[int, ServoState]) -> list[str]:
+        """Note the first readings; return the joints that may have lost count before.
+
+        Args as in `trust`.
+        """
+        self.trust(now, states)
+        returned = []
+        for name, joint in self._joints.items():
+            low, high = joint.turn_at_power_on(joint.stored)
+            # By so much the turn may lie elsewhere
+            shift = joint.servo.ticks_per_turn - 1 - (high - low)
+            if (
+                name in self._were_away
+                and low - shift <= self.stood[joint.servo_id] <= high + shift
+            ):
+                returned.append(name)
+        return returned
 
     def trust(self, now: float, states: Mapping[int, ServoState]) -> None:
         """Note readings of servos that follow their goals: they have not jumped.
@@ -35,6 +60,14 @@ class TurnCounts:
         """
         self.stood |= {i: state.position_ticks for i, state in states.items()}
         self._read_at |= dict.fromkeys(states, now)
+        for name, joint in self._joints.items():
+            if joint.multi_turn and joint.servo_id in states:
+                low, high = joint.turn_at_power_on(joint.stored)
+                at = states[joint.servo_id].position_ticks
+                if not low <= at <= high:
+                    self.away |= {name}
+                elif low + AGREE_TICKS <= at <= high - AGREE_TICKS:
+                    self.away -= {name}
 
     def follow(self, now: float, states: Mapping[int, ServoState]) -> None:
         """Note readings of servos without a goal to follow, or that may not follow it.

@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import shutil
 import signal
 import subprocess
 import tempfile
@@ -33,6 +34,7 @@ from longarm_comp.core.errors import InputError, JobError
 from longarm_comp.core.files import write_text
 from longarm_comp.core.processes import run_module
 from longarm_comp.core.strict_yaml import read_yaml
+from longarm_comp.devices.kept_turns import TURNS
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import EFFECTS, GUARD, NETWORK
@@ -298,6 +300,9 @@ class BringUp:
 
     def files(self, node: str, bus: str, scratch: Path) -> list[Path]:
         """Return a node's own parameter file, then one written to ``scratch`` that overrides it."""
+        if node == "simulated_arm":  # its servos start at home, whatever another run's counted
+            state = Path(self.parameters("servo_driver", bus)["state"])
+            shutil.rmtree(state / TURNS, ignore_errors=True)
         values = {f"/**/{node}": {"ros__parameters": self.parameters(node, bus)}}
         write_text(scratch / f"{node}.given.yaml", yaml.safe_dump(values))
         return [self.file(node), scratch / f"{node}.given.yaml"]

@@ -176,17 +176,17 @@ class _ServoDriver(ArmNode, LifecycleNode):
     @reporting_faults
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            follower = TrajectoryFollower(self._config, *self._rules)
-            stopped = self._stops.estop or bool(self._stops.owed)
-            journal = SetupJournal(self.p["state"], self.p["arm"], self._config.bus)
-            self.arm = ServoArm(self._config, follower, stopped=stopped, journal=journal)
+            config, stops = self._config, self._stops
+            follower = TrajectoryFollower(config, *self._rules)
+            stopped = stops.estop or bool(stops.owed)
+            journal = SetupJournal(self.p["state"], self.p["arm"], config.bus)
+            self.arm = ServoArm(config, follower, stopped=stopped, journal=journal, away=stops.away)
         except LongarmError as error:
             return self._note_failure(error)
         for said in self.arm.said:
             self.get_logger().info(said)
         self.fault = ""
-        self._stops.owe_off(False)  # from now on `self.arm` switches the torque off
-        self._stops.let_go()
+        self._stops.take_over(self.arm)
         return super().on_configure(state)
 
     @reporting_faults
@@ -268,7 +268,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
             self.tally.count("incomplete cycles", "")
         for event in cycle.step.events:
             self._on_event(event)
-        self._stops.keep_doubt(arm.doubt)
+        self._stops.keep_turns(arm)
 
     def _on_event(self, event: Event) -> None:
         why = f"{event.kind.value}: {event.message}"

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Protocol
 
@@ -10,7 +10,8 @@ from rclpy.node import Node
 
 from longarm_comp.core.errors import InputError, JobError, LongarmError
 from longarm_comp.devices.follower_report import EventKind, FollowerState
-from longarm_comp.devices.servo_arm import ServoArm, free_servos
+from longarm_comp.devices.kept_turns import KeptTurns
+from longarm_comp.devices.servo_arm import ServoArm
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
 from longarm_comp.devices.state_folder import state_folder
@@ -27,6 +28,8 @@ PARAMS = (Param("state", "", "folder that keeps stops until they are reset; empt
 
 _MOMENT_S = 0.005
 """Longest time, s, by which the disk may delay what the servos are sent. It mostly takes 1 ms."""
+_LOOK_S = 0.02
+"""Time, s, between two looks whether the disk has kept a stop that is not answered yet."""
 _SWITCHED_OFF = {ServoTrouble.SILENT, ServoTrouble.SUPPLY}
 """Troubles that come of switching the servos' power off: their faults end with the process. All
 others are kept for the next one, because to start a driver again must end no fault."""
@@ -77,56 +80,67 @@ class Stops:
         self._site, self._servos = site, servos
         self.made = 0  # stops, and ends of them
         self._was_on = False  # the torque, when the emergency stop was asked for
+        self._turns = KeptTurns(kept, arm, servos.bus.port, servos.ids)
         self._latch = StopLatch(kept, node.get_namespace(), arm, servos.bus.port)
         if self.standing:
             node.get_logger().warning(self._latch.words)
         self._owed = self.estop  # torque must still go off, while there is no `ServoArm` to do it
         steady_timer(node, 0.5, self._try_again)
         self._fresh, self._stopped = fresh, -math.inf  # when a stop was last answered
+        self._unanswered: list[Asked] = []  # requests to stop, until the disk has kept the stop
+        steady_timer(node, _LOOK_S, self._answer_stopped)
         Together(node, (graph.ESTOP, graph.HOLD, graph.RESET), self.serve)
 
     def serve(self, waiting: Sequence[Asked]) -> None:
-        """Answer all waiting requests, those to stop first: `_end` refuses what was sent before."""
-        with ExitStack() as answers:  # runs all, last in first out, even if one raises
+        """Serve all waiting requests, those to stop first: `_end` refuses what was sent before."""
+        with ExitStack() as served:  # runs all, last in first out, even if one raises
+            served.callback(self._answer_stopped)
             for asked in sorted(waiting, key=_is_end, reverse=True):
-                answers.callback(self._answer, asked)
+                served.callback(self._try_to_end if _is_end(asked) else self._stop, asked)
 
-    def _answer(self, asked: Asked) -> None:
-        response = asked.service.type.Response()
-        try:
-            response.message = self._end(asked) if _is_end(asked) else self._stop(asked)
-            response.success = True
-        except LongarmError as error:
-            response.message = str(error)
-        asked.reply(response)
+    def _try_to_end(self, asked: Asked) -> None:
+        _answer(asked, self._end)
 
-    def _stop(self, asked: Asked) -> str:
-        """Stop the arm and save the stop; return what was done, or the state if a part was not."""
+    def _stop(self, asked: Asked) -> None:
+        """Stop the arm and save the stop; `_answer_stopped` answers."""
         arm = self._site.arm
+        self._unanswered.append(asked)
         try:
             if asked.service is graph.ESTOP:
-                stop, done = Stop.ESTOP, "torque off, commands refused"
                 if not self.estop:
                     self._was_on = arm is not None and arm.powered
-                self._latch.ask(stop)
+                self._latch.ask(Stop.ESTOP)
                 try:  # first, so that a process that is killed now has not forgotten it
                     self._latch.mark(_MOMENT_S)
                 finally:
                     self.let_go()
             else:
-                stop, done = Stop.HOLD, "held: torque on, trajectories refused"
-                if arm is not None and stop not in self._latch.standing:
+                if arm is not None and Stop.HOLD not in self._latch.standing:
                     arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
-                self._latch.ask(stop)
-            self._latch.keep()
-            torque = self._torque_yet(stop)
-            said = self.state[1] if torque or self.unkept else done
-            if torque and stop is Stop.ESTOP:
-                raise JobError(said)
-            return said
+                self._latch.ask(Stop.HOLD)
+            self._latch.keep(_MOMENT_S)
         finally:
-            self._stopped = sleepless_s()
             self.begin_anew()
+
+    def _answer_stopped(self) -> None:
+        """Answer the requests to stop, once the disk has kept the stop or hangs."""
+        if self._unanswered and not self._latch.writing:
+            asked, self._unanswered = self._unanswered, []
+            self._stopped = sleepless_s()
+            with ExitStack() as answers:
+                for one in asked:
+                    answers.callback(_answer, one, self._describe_stopped)
+
+    def _describe_stopped(self, asked: Asked) -> str:
+        """Return what was done to stop the arm, or the state if a part was not."""
+        stop, done = Stop.HOLD, "held: torque on, trajectories refused"
+        if asked.service is graph.ESTOP:
+            stop, done = Stop.ESTOP, "torque off, commands refused"
+        torque = self._torque_yet(stop)
+        said = self.state[1] if torque or self.unkept else done
+        if torque and stop is Stop.ESTOP:
+            raise JobError(said)
+        return said
 
     def begin_anew(self) -> None:
         """Tell at once that the arm was stopped, or goes on; orders from before are refused."""
@@ -140,7 +154,7 @@ class Stops:
         Refused if it was sent before a stop (its sender did not know of the stop), or too long ago.
         """
         waited_s = self._fresh.waited_s(asked.sent_ns)
-        if sleepless_s() - waited_s <= self._stopped:
+        if self._unanswered or sleepless_s() - waited_s <= self._stopped:
             raise JobError("a stop came after this was asked: ask again")
         if waited_s > self._fresh.max_age_s:
             allowed = f"allowed {self._fresh.max_age_s:g} s"
@@ -179,13 +193,30 @@ class Stops:
         if finding.trouble not in _SWITCHED_OFF and Stop.FAULT not in self._latch.standing:
             what = f"{finding.joint} {finding.trouble.value}: {finding.message}"
             self._latch.ask(Stop.FAULT, what)
-            self._latch.keep()
+            self._latch.keep(_MOMENT_S)
 
     def keep_doubt(self, doubt: str) -> None:
         """Keep as a fault why the arm may not stand where it reads; empty: no reason."""
         if doubt not in self._latch.standing.get(Stop.FAULT, ""):
             self._latch.ask(Stop.FAULT, doubt)
-            self._latch.keep()
+            self._latch.keep(_MOMENT_S)
+
+    @property
+    def away(self) -> frozenset[str]:
+        """The joints whose servos a loss of power would bring back to another turn."""
+        return self._turns.away
+
+    def take_over(self, arm: ServoArm) -> None:
+        """Note that from now on an arm just configured switches the torque off."""
+        self.keep_doubt(arm.returned)
+        self.owe_off(False)
+        self.let_go()
+
+    def keep_turns(self, arm: ServoArm) -> None:
+        """Keep a doubt about the servos' turns, and then which joints are `away`."""
+        self.keep_doubt(arm.doubt)
+        if not (self._latch.writing or self._latch.trouble):
+            self._turns.keep(arm.away)
 
     def let_go(self) -> None:
         """Switch torque off under an emergency stop, also if the driver is not configured."""
@@ -219,7 +250,7 @@ class Stops:
     def _pay(self) -> None:
         if self._owed:
             with suppress(LongarmError):
-                free_servos(self._servos)
+                self._servos.free_servos()
                 self._owed = False
 
     def _torque_yet(self, stop: Stop) -> str:
@@ -250,6 +281,16 @@ class Stops:
             elif arm is not None and active and not (self.standing or arm.powered):
                 arm.power(True)
         self.begin_anew()
+
+
+def _answer(asked: Asked, carry_out: Callable[[Asked], str]) -> None:
+    response = asked.service.type.Response()
+    try:
+        response.message = carry_out(asked)
+        response.success = True
+    except LongarmError as error:
+        response.message = str(error)
+    asked.reply(response)
 
 
 def _is_end(asked: Asked) -> bool:

@@ -57,6 +57,44 @@ def test_the_count_of_turns_is_in_doubt_after_a_jump_or_an_unread_move(
     assert not _is_doubtful(HORN, *readings)
 
 
+@pytest.mark.parametrize(
+    ("model", "stored", "readings", "away", "at_power_on"),
+    [
+        ("sts3215", {}, (2048, 4095), False, (0, 4095)),
+        ("sts3215", {}, (2048, 4096), True, (0, 4095)),
+        ("sts3215", {}, (2048, -1), True, (0, 4095)),
+        ("sts3215", {}, (4096, 4090), True, (0, 4095)),  # it may tremble there
+        ("sts3215", {}, (4096, 4055), False, (0, 4095)),
+        ("sts3215", {"homing_offset": 500}, (2048, 3700), True, (-500, 4095)),
+        ("xl430-w250", {"homing_offset": 500}, (2048, 499), True, (500, 4595)),
+    ],
+)  # fmt: skip
+def test_a_servo_that_left_the_turn_of_power_on_and_reads_in_it_may_have_lost_count(
+    model: str, stored: dict[str, int], readings: tuple[int, ...], away: bool,
+    at_power_on: tuple[int, int],
+) -> None:  # fmt: skip
+    bus = {"protocol": "feetech" if model == "sts3215" else "dynamixel", "port": "/dev/null"}
+    joint = KINDS["many turns"] | {"model": model, "stored": stored}
+    joints = {"a": joint, "b": KINDS["geared"] | {"model": model, "servo_id": 2}}
+    config = ServoConfig.parse({"bus": bus, "joints": joints}, "here")
+
+    def begun(at: int, *were_away: str) -> TurnCounts:
+        counts = TurnCounts(config, were_away)
+        returned = counts.begin(0.0, {1: servo_state(at), 2: servo_state(3000)})
+        assert returned == (["a"] if "a" in were_away and low <= at <= high else [])
+        return counts
+
+    low, high = at_power_on
+    counts = begun(readings[0])
+    counts.follow(0.02, {1: servo_state(readings[1])})
+    assert counts.away == ({"a"} if away else set())
+    counts.follow(0.04, {2: servo_state(-5)})
+    assert counts.away == ({"a"} if away else set())
+    for at in (low - 1, low, high, high + 1):
+        begun(at)
+        begun(at, "a", "somebody else")
+
+
 def test_what_follows_its_goals_has_not_jumped() -> None:
     bus = {"protocol": "feetech", "port": "/dev/null"}
     config = ServoConfig.parse({"bus": bus, "joints": {"a": KINDS["geared"]}}, "here")

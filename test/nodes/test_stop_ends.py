@@ -5,6 +5,8 @@ import os
 import tempfile
 import threading
 import time
+from concurrent import futures
+from contextlib import ExitStack
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -36,6 +38,7 @@ def serve(driver: StoppedArm, service: graph.Service, data: bool | None, sent_ns
     got: list[Any] = []
     request = Trigger.Request() if data is None else SetBool.Request(data=data)
     driver.stops.serve([Asked(service, request, got.append, sent_ns)])
+    driver.stage.spin(lambda: got)
     return got[0]
 
 
@@ -216,13 +219,16 @@ def test_a_clock_that_is_set_makes_no_old_order_new_nor_a_new_one_old(
     assert "sent before" in fresh.too_old(before)
 
 
-def test_every_request_is_answered_whatever_another_raises(driver: StoppedArm) -> None:
+def test_every_request_is_answered_whatever_another_raises(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def lost(response: Any) -> None:
         raise RuntimeError("its client is gone")
 
     held: list[Any] = []
     data = SetBool.Request(data=True)
     waiting = [Asked(graph.ESTOP, data, lost, 0), Asked(graph.HOLD, data, held.append, 0)]
+    monkeypatch.setattr(stops, "_MOMENT_S", 60.0)
     with pytest.raises(RuntimeError, match="is gone"):
         driver.stops.serve(waiting)
     assert held and driver.stops.estop and "held" in driver.stops.standing
@@ -275,6 +281,40 @@ def test_a_disk_that_hangs_delays_no_stop(
     driver.stage.spin(lambda: not driver.stops.unkept)
     latch = StopLatch(tmp_path / "stops", "/", "", driver.config.bus.port)
     assert set(latch.standing) == {Stop.ESTOP, Stop.FAULT}
+
+
+@pytest.mark.parametrize("stop", [graph.ESTOP, graph.HOLD])
+def test_a_stop_is_answered_when_the_disk_has_kept_it_and_the_arm_is_driven_on_meanwhile(
+    driver: StoppedArm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stop: graph.Service
+) -> None:
+    """Nobody ends a stop whose sender has no answer yet."""
+    monkeypatch.setattr(stop_latch, "_DISK_S", 600.0)
+    driver.moves()
+    got: list[Any] = []
+    waited: list[float] = []
+    goes_on, wait = threading.Event(), futures.wait
+
+    def waits(for_them: Any, within_s: float) -> None:
+        waited.append(within_s)
+        wait(for_them, min(within_s, stops._MOMENT_S))
+
+    with monkeypatch.context() as patch, ExitStack() as end:
+        end.callback(goes_on.set)
+        own = os.fsync
+        patch.setattr(os, "fsync", lambda file: (goes_on.wait(600.0), own(file)))
+        patch.setattr(futures, "wait", waits)
+        driver.stops.serve([Asked(stop, SetBool.Request(data=True), got.append, 0)])
+        assert driver.arm is not None
+        driver.cycles(lambda: driver.arm.follower.state is not FollowerState.TRACKING)
+        driver.stops.keep_fault(JointFault(ServoTrouble.STALLED, "a", "against something"))
+        driver.stops.keep_doubt("a may have lost count")
+        ended = serve(driver, graph.RESET, None, time.time_ns())
+        assert "a stop came after this was asked" in ended.message
+        assert not got and not driver.stops.unkept and driver.on == {stop is graph.HOLD}
+        assert max(waited) <= stops._MOMENT_S
+        goes_on.set()
+        driver.stage.spin(lambda: got)
+    assert got[0].success and list((tmp_path / "stops").glob(f"*.{stop.name[2:]}"))
 
 
 @pytest.mark.parametrize("error", [errno.ENOSPC, errno.EROFS])

@@ -1,18 +1,25 @@
 """A doubt about a servo's turns outlasts the driver's process, and ends by a person's word."""
 
+import signal
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed: run make setup")
 
+import driver_rig as support
 from driver_rig import Rig, driver_rig
 from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 from stops_bench import StoppedArm
 
+from longarm_comp.devices.kept_turns import TURNS, KeptTurns
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
+from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.nodes import interfaces as graph
+from longarm_comp.nodes.bringup import BringUp
+from longarm_comp.share import folder
 from longarm_interfaces.msg import DriverState
 
 TURN = 4096.0
@@ -69,6 +76,51 @@ def test_a_lost_count_ends_when_the_driver_is_configured_again_and_reset(rig: Ri
     assert rig.call(graph.RESET, Trigger.Request()).success
     rig.is_in(DriverState.READY)
     assert rig.driving()
+
+
+@pytest.fixture(scope="module")
+def far(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Rig]:
+    """An arm whose shoulder goes into the second turn of its servo."""
+    with pytest.MonkeyPatch.context() as patch:
+        text = support.CONFIG.replace("zero_ticks: 2048.0", "zero_ticks: 3500.0")
+        patch.setattr(support, "CONFIG", text)
+        with driver_rig(tmp_path_factory.mktemp("far")) as made:
+            yield made
+
+
+@pytest.mark.parametrize("ended", ["killed", "stopped", "silent"])
+def test_a_count_that_was_lost_while_no_driver_ran_is_a_fault(far: Rig, ended: str) -> None:
+    """It reads in the turn of power-on, which it had left."""
+
+    def away() -> frozenset[str]:
+        return KeptTurns(state_folder(), "", str(far.link), ()).away
+
+    far.in_order().goes(shoulder=0.9)
+    for lost in (False, True):
+        far.stage.spin(lambda: away() == {"shoulder"})
+        if ended == "silent":
+            far.emulator.faults.silent |= {1, 2}
+        far.process.send_signal(signal.SIGKILL if ended == "killed" else signal.SIGINT)
+        assert far.process.wait(timeout=300) == {"killed": -9, "stopped": 0, "silent": 3}[ended]
+        if lost:
+            far.emulator.power_cycle(1)
+            with far.emulator.motor(1) as motor:
+                motor.seen -= TURN
+        far.emulator.faults.silent.clear()
+        far.start()
+        if not lost:
+            far.is_in(DriverState.READY)
+    assert LOST in far.is_in(DriverState.FAULT).message
+    far.stage.spin(lambda: not away())
+    far.rests()
+    assert not far.emulator.torques_on()[1]
+    assert far.call(graph.RESET, Trigger.Request()).success
+    far.is_in(DriverState.READY)
+    assert far.driving()
+    far.ends()
+    with far.emulator.motor(1) as motor:
+        motor.seen = motor.position
+    far.start()
 
 
 @pytest.mark.parametrize("alarm", ["overload", "overheat", "hot", "voltage", "silent"])
@@ -129,3 +181,36 @@ def test_a_doubt_is_kept_beside_a_fault_and_asked_for_once(driver: StoppedArm) -
         driver.stops.keep_doubt("a may have lost count")
     said = driver.stops.standing
     assert said.count("a may have lost count") == 1 and "its torque is off" in said
+
+
+def test_what_the_servos_counted_is_forgotten_only_once_the_doubt_about_it_is_kept(
+    driver: StoppedArm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(file: object) -> None:
+        raise OSError(28, "full")
+
+    stops, arm = driver.stops, driver.arm
+    assert arm is not None
+    arm._counts.away = frozenset("a")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.fsync", fails)
+        arm._counts.lose({1})
+        stops.keep_turns(arm)
+        driver.stage.spin(lambda: stops.unkept)
+        stops.keep_turns(arm)
+        assert not stops.away
+    driver.stage.spin(lambda: not stops.unkept)
+    stops.keep_turns(arm)
+    assert stops.away == {"a"}
+
+
+def test_simulated_servos_have_counted_no_turns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    up = BringUp(arm=folder("config") / "arm_demo.yaml", sim=True)
+    file = Path(up.parameters("servo_driver", "bus")["state"]) / TURNS / "arm.txt"
+    file.parent.mkdir(parents=True)
+    file.touch()
+    up.commands(tmp_path)
+    assert not file.exists()
