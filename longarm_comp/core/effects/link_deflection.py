@@ -84,8 +84,10 @@ def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
             felt = compute_loads(frame, x[16], x[17:20], posture.gravity)
             along = list(zip(x[20::2], x[21::2], whole, strict=True))
             twist = _cantilever(sign, x[0], x[1:4], felt, along)
+            alone = x is items[stations[0]]
             for row, (station, axis) in enumerate(stations):
-                made[station] = _frame_axes(axis, stacked.one_of(twist, row))
+                one = twist if alone else stacked.one_of(twist, row)
+                made[station] = _frame_axes(axis, one)
     return made
 
 
