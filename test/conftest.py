@@ -31,6 +31,7 @@ NOT_SHIPPED = Path(os.environ.get("LONGARM_DATA", ROOT.parent / "shared" / "data
 
 LONGEST = (
     *("test_stops", "test_kept_stops", "test_hidden_effect", "test_loop_graph", "test_explain"),
+    *("test_servo_setup", "test_promise", "test_turns_in_doubt", "test_orders"),
     *("test_no_code_from_data", "test_fuzz", "test_servo_driver", "test_functions"),
     *("test_paths", "test_belonging", "test_demo", "test_diagnosed", "test_nonsense"),
     *("test_kind_of_arm", "test_error_predictor", "test_package", "test_fleet_cluster"),

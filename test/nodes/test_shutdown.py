@@ -54,7 +54,7 @@ class Talker(ArmNode):
 
     def close(self):
         for number in range(LAST_WORDS):
-            self.voice.publish(String(data=str(number)))
+            self.voice.publish(String(data=str(number).ljust(60_000)))
         return super().close()
 
 program(Talker)()
@@ -97,10 +97,10 @@ def test_a_job_that_does_not_end_does_not_end_its_node_by_a_crash(stage: Bench) 
 def test_what_a_node_says_as_it_ends_is_heard(stage: Bench) -> None:
     heard, count = list[str](), 40
     words = stage.node.create_subscription(
-        String, "last_words", lambda said: heard.append(said.data), count
+        String, "last_words", lambda said: heard.append(said.data.strip()), count
     )
     program = TALKER.replace("LAST_WORDS", str(count))
-    for _ in range(4):  # of the publishers that do not wait, every fourth lost something
+    for _ in range(2):  # words so long are lost where the publisher does not wait
         process = stage.program([sys.executable, "-c", program], ROOT, ROOT)
         stage.spin(lambda: heard)
         process.send_signal(signal.SIGINT)

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 
@@ -91,10 +91,15 @@ class Chain:
             for joint, weights in zip(arm.commanded, self.mixing.T, strict=True)
         }
 
-    @property
-    def elements(self) -> Iterator[Element]:
+    @cached_property
+    def elements(self) -> tuple[Element, ...]:
         """The elements of all beams, from the base to the tip."""
-        return (e for row in self.rows for e in row.elements_a + row.elements_d)
+        return tuple(e for row in self.rows for e in row.elements_a + row.elements_d)
+
+    @cached_property
+    def axes(self) -> dict[int, int]:
+        """The axis along its beam of every element, by station."""
+        return {e.station: e.axis for e in self.elements}
 
     def frame_station(self, row: int) -> int:
         """Return the station of row `row`'s frame; row 0 is the base."""
@@ -224,6 +229,8 @@ class Posture:
     gravity: Vec  # in the base frame (m/s^2)
     twists: Twists = field(default_factory=dict)  # by station, as applied in `frames`
     extra: tuple[Lumped, ...] = ()  # masses that effects add
+    of_lengths: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
+    """What follows from `lengths`, by name; postures of the same joints share it."""
     _made: dict[tuple[object, ...], object] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -254,7 +261,9 @@ class Posture:
         if payload is not None:
             kg = self.context.payload_kg(payload.mass_kg)
             made.append(Lumped(self.frame(payload.frame), kg, payload.position_m))
-        return [*made, *self._list_overhangs(), *self.extra]
+        if "overhangs" not in self.of_lengths:
+            self.of_lengths["overhangs"] = list(self._list_overhangs())
+        return [*made, *self.of_lengths["overhangs"], *self.extra]
 
     @cached_property
     def line_loads(self) -> LineLoads:
@@ -263,6 +272,12 @@ class Posture:
         The loaded length is counted back from the element's far end.  A sliding body lies in its
         own beam and, for the rest of its length, inside the beams before it.
         """
+        if "line_loads" not in self.of_lengths:
+            self.of_lengths["line_loads"] = self._list_line_loads()
+        loads: LineLoads = self.of_lengths["line_loads"]
+        return loads
+
+    def _list_line_loads(self) -> LineLoads:
         loads: LineLoads = {}
         for elements in (some for r in self.chain.rows for some in (r.elements_a, r.elements_d)):
             for k, e in enumerate(elements):
@@ -313,7 +328,7 @@ class Posture:
         moment: Vec = ZERO
         masses: list[Scalar] = [0.0] * self.chain.stations
         moments: list[Vec] = [ZERO] * self.chain.stations
-        axes = {e.station: e.axis for e in self.chain.elements}
+        axes, line_loads = self.chain.axes, self.line_loads
         for station in range(self.chain.stations - 1, -1, -1):
             frame = self.frames[station]
             for lump in own.get(station, ()):
@@ -321,10 +336,10 @@ class Posture:
                 there = frame.transform(lump.position)
                 moment = spatial.add(moment, spatial.scale(lump.mass, there))
             masses[station], moments[station] = mass, moment
-            for density, length in self.line_loads.get(station, ()):
+            for density, length in line_loads.get(station, ()):
                 m = density * length
-                sign = sign_of(self.lengths[station])
-                centre = frame.along(axes[station], -0.5 * sign * length).p
+                back = -0.5 * sign_of(self.lengths[station]) * length
+                centre = spatial.add(frame.p, spatial.scale(back, frame[axes[station]]))
                 mass = mass + m
                 moment = spatial.add(moment, spatial.scale(m, centre))
         return masses, moments

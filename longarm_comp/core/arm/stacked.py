@@ -12,7 +12,7 @@ def stack_alike(items: Mapping[Any, tuple[Scalar, ...]]) -> Iterator[tuple[list[
     """Yield groups of k items that can be computed together: their keys and their stacked scalars.
 
     Items that hold arrays (N,) are stacked if the same scalars of them are 0.  Each scalar of the
-    stack is (k, N), (k, 1) or 0.  Any other item is a group of its own and is not changed.
+    stack is (k, N), (k, 1) or 0.  Any other item is a group of its own: the same object.
     """
     kinds: dict[tuple[bool, ...], list[Any]] = {}
     for key, item in items.items():
@@ -63,7 +63,10 @@ def exps(twists: Mapping[int, Twist]) -> dict[int, Frame]:
     """Return the motion `exp(twist)` of every twist, by station; similar twists are stacked."""
     made = {}
     for keys, twist in stack_alike(twists):
-        n, o, a, p = exp(twist)
+        n, o, a, p = alone = exp(twist)
+        if twist is twists[keys[0]]:
+            made[keys[0]] = alone
+            continue
         for key, x in zip(keys, take_apart((*n, *o, *a, *p), len(keys)), strict=True):
             made[key] = Frame(x[:3], x[3:6], x[6:9], x[9:])  # type: ignore[arg-type]
     return made

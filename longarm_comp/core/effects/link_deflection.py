@@ -84,7 +84,7 @@ def _compute_cantilevers(posture: Posture) -> dict[int, Twist]:
             felt = compute_loads(frame, x[16], x[17:20], posture.gravity)
             along = list(zip(x[20::2], x[21::2], whole, strict=True))
             twist = _cantilever(sign, x[0], x[1:4], felt, along)
-            apart = stacked.take_apart(twist, len(stations))
+            apart = [twist] if x is items[stations[0]] else stacked.take_apart(twist, len(stations))
             for (station, axis), each in zip(stations, apart, strict=True):
                 made[station] = _frame_axes(axis, each)  # type: ignore[arg-type]
     return made

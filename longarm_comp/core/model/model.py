@@ -213,7 +213,9 @@ class Model:
 
     def _pass_loads(self, posture: Posture, passes: int) -> Posture:
         for _ in range(passes):
-            posture = self.posture_with_twists(posture.q, posture.context, self.twists(posture))
+            known = posture.of_lengths if posture.chain is self.chain else None
+            twists = self.twists(posture)
+            posture = self.posture_with_twists(posture.q, posture.context, twists, known)
         return posture
 
     @property
@@ -230,10 +232,18 @@ class Model:
         """Return the joints at q without frames and loads, for effects that depend on neither."""
         return Posture(self.chain, tuple(q), context, [], [], self.arm.gravity_mps2)
 
-    def posture_with_twists(self, q: Sequence[Scalar], context: Context, twists: Twists) -> Posture:
+    def posture_with_twists(
+        self,
+        q: Sequence[Scalar],
+        context: Context,
+        twists: Twists,
+        of_lengths: dict[str, Any] | None = None,
+    ) -> Posture:
         """Return the arm at q with given twists (by station), and its loads."""
         placed, gravity = self.chain.place(q, twists), self.arm.gravity_mps2
-        return self._weigh_masses(Posture(self.chain, tuple(q), context, *placed, gravity, twists))
+        known = {} if of_lengths is None else of_lengths
+        bare = Posture(self.chain, tuple(q), context, *placed, gravity, twists, of_lengths=known)
+        return self._weigh_masses(bare)
 
     def twists(self, posture: Posture) -> Twists:
         """Return the sum of all effects' twists, by station."""

@@ -116,6 +116,19 @@ def test_a_known_posture_leads_to_that_of_a_similar_model(arm, name):
         assert left < share * change
 
 
+def test_a_known_posture_of_an_arm_of_light_beams_leads_to_that_of_heavy_ones(arm: Arm) -> None:
+    q, context = situation(arm)
+    data = arm.model_dump(mode="json", exclude_defaults=True)
+    for beam in data["links"]:
+        beam["mass_kg"] *= 2.0
+    heavy = Model(Arm.parse(data, "heavy"), (LinkDeflection(),))
+    known = Model(arm, heavy.effects).posture(unstack(q), context)
+    want = heavy.tip(q, context)
+    assert np.abs(want - Model(arm, heavy.effects).tip(q, context)).max() > 1e-3
+    near = heavy.measured_at(heavy.posture_near(known))
+    np.testing.assert_allclose(near, want, atol=1e-4)
+
+
 def test_a_column_is_taken_about_the_twists_that_placed_the_arm() -> None:
     """Exact for a rigid arm whose base is turned far and whose seats are: by differences."""
     arm = Arm.load(DEMO_ARM)
