@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, GetPydanticSchema
 
+from longarm_comp.core.data.set_aside import SharedBy
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidate_states import TriedCandidate
@@ -124,21 +125,12 @@ class ReportProof(ReportPart):
     why: str
 
 
-class SharedInput(ReportPart):
-    """A property that rows set aside share: an input, its value, how many rows, and a p-value."""
-
-    input: str
-    value: str
-    rows: int
-    p_value: float
-
-
 class ReportSetAside(ReportPart):
     """Rows that the fit set aside, their share of all rows, and properties that they share."""
 
     rows: int
     share: float
-    shared_by: Sequence[SharedInput]
+    shared_by: Sequence[SharedBy]
 
 
 class ReportProvenance(ReportPart):
