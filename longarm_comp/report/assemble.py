@@ -1,7 +1,6 @@
 """Builds the contents of report.json from a diagnosis, deterministically."""
 
 from collections import Counter
-from dataclasses import asdict
 
 import numpy as np
 
@@ -9,9 +8,7 @@ from longarm_comp.core.calibration.plausible import mark_believed_rows
 from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import describe_structure
-from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.report import record
 from longarm_comp.report.noise_floor import FIGURES, excess, floor_of
 from longarm_comp.version import __version__
@@ -55,7 +52,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
         set_aside=record.ReportSetAside.model_validate(diagnosis.set_aside.record),
         next_poses=[q.tolist() for q in (*splitting, *diagnosis.next_q)],
         outliers=_list_outliers(diagnosis),
-        discovered=[_describe_cause(cause, diagnosis) for cause in diagnosis.causes],
+        discovered=diagnosis.causes,
         none_of_these=diagnosis.none_of_these,
         written=record.Written(
             model=diagnosis.written,
@@ -106,32 +103,6 @@ def _provenance_of(
         version=__version__,
         holdout_uses=uses,
         model_given=model_given,
-    )
-
-
-def _describe_cause(cause: Cause, diagnosis: Diagnosis) -> record.ReportDiscovered:
-    before, after = (diagnosis.proof.rows[k].rms for k in (WITH_EFFECTS, WITH_FUNCTIONS))
-    at = [a.where.partition(", ") for a in cause.amounts]
-    kept = diagnosis.written == WITH_FUNCTIONS
-    return record.ReportDiscovered(
-        frame=", ".join(dict.fromkeys(frame for frame, _, _ in at)),
-        component=", ".join(dict.fromkeys(component for _, _, component in at)),
-        set=cause.where,
-        names=dict(cause.names),
-        probability=cause.probability,
-        formula=cause.formula,
-        terms=[record.DiscoveredTerm(**asdict(a)) for a in cause.amounts],
-        ci95=[a.ci95 for a in cause.amounts],
-        domain=cause.domain,
-        reading=cause.reading,
-        title=cause.terms[0].heading(),
-        action=cause.terms[0].action,
-        doubts=diagnosis.doubts,
-        log_evidence=cause.log_evidence,
-        tip_mm=record.TipShift(rms=1e3 * cause.tip_m[0], max=1e3 * cause.tip_m[1]),
-        held_out_rms_mm=(1e3 * before, 1e3 * after),
-        compensated=cause.compensated and kept,
-        kept=kept,
     )
 
 

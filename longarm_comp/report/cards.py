@@ -5,6 +5,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from longarm_comp.core.effects.units import for_people
+from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import Finding
 from longarm_comp.core.identify.posterior.found import CREDIBLE
 from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
@@ -88,8 +89,8 @@ def _say_first(finding: Finding, split: bool) -> str:
     return "" if finding.probability >= CERTAIN else "a second session finds it again."
 
 
-def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport) -> _Card:
-    others = found.set[1:]
+def _unnamed_card(found: Cause, report: record.DiagnosisReport) -> _Card:
+    others = found.where[1:]
     said = f"Odds of {odds(found.log_evidence)} for it, counting all functions that were tried."
     if others:
         said += f" Places that explain it as well: {join_names(others)}."
@@ -109,7 +110,7 @@ def _unnamed_card(found: record.ReportDiscovered, report: record.DiagnosisReport
         sure=_say_sure(found.probability)
         + ("; the place is open" if others else _with_doubts(found.doubts)),
         because=said,
-        doubts=tuple(found.doubts),
+        doubts=found.doubts,
         duty=duty,
         advice=advice,
         software=held if found.compensated else "Commands leave it out.",

@@ -252,7 +252,7 @@ def _compare_encoders(diagnosis: Diagnosis, units: Sequence[str]) -> PageTable |
 
 def _mark_places(diagnosis: Diagnosis) -> tuple[Marked, ...]:
     """Return where findings and causes are on the arm, at the row farthest from the mean."""
-    found = [f.terms for f in diagnosis.findings] + [c.terms for c in diagnosis.causes]
+    found = [f.terms for f in diagnosis.findings] + [c.effects for c in diagnosis.causes]
     if not found:
         return ()
     rows, model = diagnosis.held_out, diagnosis.model

@@ -9,9 +9,11 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, Field, GetPydanticSchema
 
+from longarm_comp.core.data.set_aside import SharedBy
 from longarm_comp.core.effects.units import in_names
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.candidate_states import TriedCandidate
+from longarm_comp.core.identify.discover.causes import Cause
 from longarm_comp.core.identify.findings import Finding, ReportPart
 from longarm_comp.core.identify.proof import NETWORK
 from longarm_comp.core.yaml_file import parse_declared
@@ -100,50 +102,6 @@ class Outlier(ReportPart):
     point: str = ""
 
 
-class DiscoveredTerm(ReportPart):
-    """A coefficient of a cause without a name: value x function, at a place."""
-
-    where: str
-    function: str
-    value: float
-    ci95: Interval
-    unit: str
-
-
-class TipShift(ReportPart):
-    """Shift of the tip over the fitted rows."""
-
-    rms: float = Field(ge=0)
-    max: float = Field(ge=0)
-
-
-class ReportDiscovered(ReportPart):
-    """A cause without a name.
-
-    `set` are the places that explain it equally well; `kept` says whether it is in the model.
-    `names` are effects of the library that may be the cause instead, with their probability.
-    """
-
-    frame: str
-    component: str
-    set: Sequence[str]
-    names: dict[str, float] = Field(default={})
-    probability: float = Field(ge=0, le=1)
-    formula: str
-    terms: Sequence[DiscoveredTerm]
-    ci95: Sequence[Interval]
-    domain: Sequence[str]
-    reading: str
-    title: str = ""
-    action: str = ""
-    doubts: Sequence[str] = ()
-    log_evidence: float
-    tip_mm: TipShift
-    held_out_rms_mm: tuple[float, float]
-    compensated: bool
-    kept: bool
-
-
 class Written(ReportPart):
     """The name of the written model, and the error that a command may expect of each model.
 
@@ -173,21 +131,12 @@ class ReportProof(ReportPart):
     why: str
 
 
-class SharedInput(ReportPart):
-    """A property that rows set aside share: an input, its value, how many rows, and a p-value."""
-
-    input: str
-    value: str
-    rows: int
-    p_value: float
-
-
 class ReportSetAside(ReportPart):
     """Rows that the fit set aside, their share of all rows, and properties that they share."""
 
     rows: int
     share: float
-    shared_by: Sequence[SharedInput]
+    shared_by: Sequence[SharedBy]
 
 
 class ReportProvenance(ReportPart):
@@ -219,7 +168,7 @@ class DiagnosisReport(ReportPart):
     set_aside: ReportSetAside | None = None
     next_poses: Sequence[Sequence[float]]
     outliers: Sequence[Outlier]
-    discovered: Sequence[ReportDiscovered] = ()
+    discovered: Sequence[Cause] = ()
     none_of_these: float | None = Field(default=None, ge=0, le=1)
     written: Written | None = None
     doubtful: Sequence[Doubtful] = ()

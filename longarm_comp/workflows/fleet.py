@@ -289,7 +289,7 @@ def _diagnose_arm(
         FleetFinding(" or ".join(sorted(f.names)), place, f.tip_mm.median if f.tip_mm else 0.0)
         for f in found.findings
         for place in f.where
-    ] + [FleetFinding(c.title, c.set[0], c.tip_mm.rms) for c in found.report.discovered if c.kept]
+    ] + [FleetFinding(c.title, c.where[0], c.tip_mm.rms) for c in found.report.discovered if c.kept]
     rows = len(found.diagnosis.train) + len(found.diagnosis.held_out)
     written = found.diagnosis.compared_stages[1]  # with the network, if there is one
     calibrated, diagnosed = (1e3 * left[name].mean for name in ("calibrated", written))

@@ -20,6 +20,7 @@ from report_pages import Page
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.data.measurement import compute_tip_errors
 from longarm_comp.core.identify import diagnosis
+from longarm_comp.core.identify.discover.causes import Cause, TipShift
 from longarm_comp.core.identify.gains import compute_gains, measure_tip_shift
 from longarm_comp.core.identify.proof import WITH_FUNCTIONS
 from longarm_comp.core.identify.structure import SIGNIFICANT
@@ -156,21 +157,21 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
     report = next(
         made for made, _ in told if made.verdict == "unknown" and made.structure_left.flag
     )
-    cause = record.ReportDiscovered(
+    cause = Cause(
         frame="joint 5",
         component="force y",
-        set=["joint 5, force y", "joint 6, force y"],
+        set=("joint 5, force y", "joint 6, force y"),
         formula="joint 5, force y: (24.2 +- 0.3) N/rad^2 x q2 x q5",
-        terms=[],
-        ci95=[],
-        domain=["q2 0..0.52 rad"],
+        terms=(),
+        ci95=(),
+        domain=("q2 0..0.52 rad",),
         reading="behaves like a cable that pulls",
         title="cause without a name",
-        doubts=["q2 was measured at few positions; between them it is a guess"],
+        doubts=("q2 was measured at few positions; between them it is a guess",),
         action="Look there for what it behaves like.",
         log_evidence=40.0,
         probability=0.97,
-        tip_mm=record.TipShift(rms=1.25, max=3.75),
+        tip_mm=TipShift(rms=1.25, max=3.75),
         held_out_rms_mm=(1.39, 0.11),
         compensated=True,
         kept=True,
@@ -198,7 +199,7 @@ def test_a_cause_without_a_name_has_a_card_and_is_counted(told: list[Told]) -> N
     assert card.tip == "1.25 mm at the tip, up to 3.75 mm"
     assert card.sure == "likely; the place is open" and "joint 6, force y" in card.because
     assert "few positions" in open_questions(found, Detail())[0][1][0]
-    assert card.doubts == tuple(cause.doubts)
+    assert card.doubts == cause.doubts
     assert card.improves == "1.20 → 0.20 mm" and "compensates it" in card.software
 
 

@@ -9,7 +9,6 @@ one disturbance spoils them all.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -18,6 +17,7 @@ import numpy as np
 from longarm_comp.core.arm.context import ORDER
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import describe_range
+from longarm_comp.core.yaml_file import Closed
 
 SIGNIFICANT = 1e-3
 """p-value, over all inputs, below which rows have a trait in common.
@@ -32,9 +32,8 @@ FEW = 3
 """Smallest number of visits that can have a trait in common."""
 
 
-@dataclass(frozen=True)
-class SharedBy:
-    """A common trait of rows set aside."""
+class SharedBy(Closed):
+    """A common trait of rows set aside; report.json holds it so."""
 
     input: str  # column of the session, or ``order`` (the row's place in the file)
     value: str  # the common value or range of this input, in words
@@ -58,7 +57,7 @@ class SetAside:
         """Make it from the rows that were fitted and a mask (N,) of those set aside."""
         tried = [(name, each) for name, each in _try_inputs(session, aside) if each is not None]
         found = [
-            SharedBy(name, value, rows, min(p * len(tried), 1.0))
+            SharedBy(input=name, value=value, rows=rows, p_value=min(p * len(tried), 1.0))
             for name, (value, rows, p) in tried
             if p * len(tried) < SIGNIFICANT
         ]
@@ -69,7 +68,7 @@ class SetAside:
     @property
     def record(self) -> dict[str, object]:
         """The entry of report.json: their number, their fraction, and the traits in common."""
-        shared = [dataclasses.asdict(each) for each in self.shared_by]
+        shared = [each.model_dump() for each in self.shared_by]
         return {"rows": len(self.rows), "share": self.share, "shared_by": shared}
 
     @property

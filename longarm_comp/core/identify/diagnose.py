@@ -21,12 +21,12 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
-from longarm_comp.core.identify.discover.causes import describe_doubts, list_causes, propose_poses
+from longarm_comp.core.identify.discover.causes import list_causes, propose_poses
 from longarm_comp.core.identify.findings import complete_findings, make_findings
 from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
-from longarm_comp.core.identify.proof import CALIBRATED
+from longarm_comp.core.identify.proof import CALIBRATED, WITH_FUNCTIONS
 from longarm_comp.core.identify.proved_models import Train, prove_written
 from longarm_comp.core.identify.run_ups import (
     find_run_up,
@@ -121,8 +121,9 @@ def diagnose(
     before = "the declared arm" if model is None else "the model before"
     plainer = {"calibration": at[CALIBRATED], before: at["nominal"]}
     aside = refuse_implausible(final, None, at[proved.written], plainer)
-    without_name = list_causes(found.fit, found.found)
-    unnamed = [t for cause in without_name for t in cause.terms]
+    kept = proved.written == WITH_FUNCTIONS
+    without_name = list_causes(found.fit, found.found, proof.rows, kept)
+    unnamed = [t for cause in without_name for t in cause.effects]
     say("next poses")
     split_by = tuple(
         choose_splitting_poses(found.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
@@ -140,7 +141,6 @@ def diagnose(
         set_aside=aside,
         network=network,
         split_by=split_by,
-        doubts=describe_doubts(found.fit, unnamed),
         next_q=propose_poses(found.fit, unnamed, POSES, seed),
         not_testable=offered.not_testable,
         train=train,

@@ -59,8 +59,7 @@ class Diagnosis(ProvedModels):
         set_aside: rows that the fit of the model to use set aside as outliers.
         network: the predictor of the residual; None if it does not help at held-out poses.
         split_by: for each finding with other names, the poses that would tell them apart.
-        doubts: sentences on what the data do not tell about the functions.
-        next_q: (M, n) poses that would settle these doubts, rad and m.
+        next_q: (M, n) poses that would settle the doubts about the causes, rad and m.
         not_testable: (effect, reason) of the candidates that could not be tested.
         train: rows that were fitted.
         seed: seed of everything random.
@@ -75,7 +74,6 @@ class Diagnosis(ProvedModels):
     set_aside: SetAside
     network: Predictor | None
     split_by: tuple[SplittingPoses, ...]
-    doubts: tuple[str, ...]
     next_q: np.ndarray
     not_testable: tuple[tuple[str, str], ...]
     train: Session
@@ -220,5 +218,6 @@ def _describe_findings(found: Diagnosis) -> str:
     elif found.left_out:
         text += f". A command is expected to err least with the model {found.written}, "
         text += "which was written"
-    doubt = f" In doubt: {'; '.join(found.doubts)}." if found.doubts else ""
+    doubts = dict.fromkeys(each for cause in found.causes for each in cause.doubts)
+    doubt = f" In doubt: {'; '.join(doubts)}." if doubts else ""
     return f"{text}. {gain}.{unnamed}{doubt}"

@@ -10,7 +10,7 @@ from hidden_arm import SIGMA, at, session, tip
 from small_arm import ARM as SMALL
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.calibration.calibrate import declared_model, geometry_terms
+from longarm_comp.core.calibration.calibrate import Errors, declared_model, geometry_terms
 from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.data.commanded import commanded_errors
 from longarm_comp.core.data.session import Session
@@ -35,6 +35,7 @@ from longarm_comp.core.identify.discover.inputs import (
 )
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
+from longarm_comp.core.identify.proof import WITH_EFFECTS, WITH_FUNCTIONS
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import loads
 from longarm_comp.sim.hidden.base import HiddenEffect
@@ -55,7 +56,8 @@ def one(found: ExplainedSession) -> Cause:
     """The only cause, and it has no name."""
     (effect,) = found.found
     assert effect.unnamed
-    (cause,) = list_causes(found.fit, found.found)
+    errors = dict.fromkeys((WITH_EFFECTS, WITH_FUNCTIONS), Errors(rms=0.0))
+    (cause,) = list_causes(found.fit, found.found, errors, kept=True)
     return cause
 
 
@@ -87,7 +89,7 @@ def test_a_hose_is_a_force_where_it_pulls() -> None:
 def test_twice_the_rows_tell_a_weaker_hose_exactly() -> None:
     cause = alone(DEMO, HosePull(row=5, first=1, second=4, pull=10.0), rows=2 * ROWS, seed=1)
     assert cause.where[0] == "joint 5, force y"
-    assert cause.terms[0].function == "linear(q2) * linear(q5)"  # type: ignore[union-attr]
+    assert cause.effects[0].function == "linear(q2) * linear(q5)"  # type: ignore[union-attr]
     assert cause.amounts[0].value == pytest.approx(10.0, rel=0.1)
 
 
@@ -95,7 +97,7 @@ def test_twice_the_rows_tell_a_weaker_hose_exactly() -> None:
 def test_what_gives_is_one_number() -> None:
     cause = alone(DEMO, loads.BearingTilt(np.eye(7)[1] * 6e-3))
     assert "joint 2, give" in cause.where
-    assert cause.terms[0].function == "1"  # type: ignore[union-attr]
+    assert cause.effects[0].function == "1"  # type: ignore[union-attr]
     assert cause.amounts[0].value == pytest.approx(6e-3, rel=0.05)
     assert cause.amounts[0].unit == "rad/(N m)"
     assert "behaves like a soft part that yields" in cause.sentence
@@ -121,7 +123,7 @@ def test_a_scale_of_the_camera_is_the_cameras_and_has_its_size() -> None:
     assert cause.amounts[0].value == pytest.approx(0.004, rel=0.15)
     assert cause.where[0] == "what is measured, distance"
     assert not cause.compensated
-    assert cause.terms[0].function == "1"  # type: ignore[union-attr]
+    assert cause.effects[0].function == "1"  # type: ignore[union-attr]
 
 
 @pytest.mark.long
@@ -138,7 +140,7 @@ def test_a_recorded_column_that_drives_the_error_is_found_on_its_axis() -> None:
 def test_a_stop_begins_where_it_begins() -> None:
     """The slide above the joint turns about the same axis."""
     cause = alone(SMALL, RubberStop(joint=1, begins=0.8, holds=0.1))
-    (term,) = cause.terms
+    (term,) = cause.effects
     (factor,) = term.of.factors  # type: ignore[union-attr]
     assert (factor.of, factor.word) == ("q2", "above")
     assert factor.threshold == pytest.approx(0.8, abs=0.02)
@@ -169,9 +171,9 @@ def test_a_name_that_imitates_a_cause_is_not_named() -> None:
     found = explained(DEMO, setting.train, (BearingTilt,))
     cause = one(found)
     assert cause.where == ("what is measured, z",)  # for all of its terms
-    assert len(cause.terms) > 1
+    assert len(cause.effects) > 1
     assert cause.inputs == ("seen_x",)
-    assert cause.names == ()
+    assert cause.names == {}
     assert not cause.compensated
     on, truth = setting.off
     tilting = calibrated(DEMO, setting.train).model
@@ -221,7 +223,7 @@ def test_what_happens_once_is_told_with_its_pose(what: str) -> None:
     (cause,) = found.causes
     assert cause.inputs == ("pose_number",) and cause.compensated
     assert cause.reading == "behaves like something that happened between two poses"
-    (jump,) = {shape for term in cause.terms for shape in term.of.factors}
+    (jump,) = {shape for term in cause.effects for shape in term.of.factors}
     assert isinstance(jump, Switch)
     assert 80 < jump.threshold - jump.half <= 90 <= jump.threshold + jump.half < 100
     assert found.verdict == "partly" and found.proof.rows["with_functions"].mean < 4e-4

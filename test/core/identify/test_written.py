@@ -207,7 +207,7 @@ def test_a_diagnosis_says_what_it_found_without_a_name(stopped: DiagnosisResult)
     assert (found.verdict, found.findings) == ("partly", ())
     assert (found.written, found.left_out) == ("with_functions", False)
     (cause,) = found.causes
-    (term,) = cause.terms
+    (term,) = cause.effects
     (factor,) = term.of.factors  # type: ignore[union-attr]
     assert (factor.of, factor.word) == ("q2", "above")
     assert factor.threshold == pytest.approx(0.8, abs=0.02)
