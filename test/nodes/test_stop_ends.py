@@ -202,6 +202,7 @@ def test_an_order_from_before_a_stop_or_its_end_is_too_old_after_it(
     fresh._turned -= 60.0  # the node was away: nobody knows when an order without a stamp came
     assert "sent before the arm was stopped" in fresh.too_old(Time())
     driver.ask(graph.RESET)  # it ends nothing
+    fresh._note_turn()
     assert not fresh.too_old(now().to_msg())
 
 
