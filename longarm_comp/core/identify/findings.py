@@ -221,18 +221,19 @@ def _list_rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
     """Return the rivals of all parts, one per name, the most probable first.
 
     Its terms are those in the place of every part that has it, because poses that decide between
-    two names must decide at all places.
+    two names must decide at all places.  So its evidence lacks what it loses at all these places.
     """
     size, chances = sum(f.log_bayes_factor for f in parts), dict(_weigh_names(parts))
     rivals: dict[str, Rival] = {}
     for f in parts:
         for rival in f.rivals:
             loss = f.log_bayes_factor - rival.log_bayes_factor
-            whole = replace(rival, log_bayes_factor=size - loss, probability=chances[rival.name])
+            whole = replace(rival, log_bayes_factor=size, probability=chances[rival.name])
             held = rivals.setdefault(rival.name, whole)
             terms = dict.fromkeys((*held.candidate.terms, *rival.candidate.terms))
             everywhere = replace(held.candidate, terms=tuple(terms))
-            rivals[rival.name] = replace(held, candidate=everywhere)
+            left = held.log_bayes_factor - loss
+            rivals[rival.name] = replace(held, candidate=everywhere, log_bayes_factor=left)
     return sorted(rivals.values(), key=lambda r: -r.probability)
 
 

@@ -252,6 +252,30 @@ def test_a_restart_leaves_a_local_optimum() -> None:
     assert {o.name for o in found.offers} == {"one", "two"}
 
 
+def test_a_name_with_several_places_gives_way_to_several_names() -> None:
+    """Each of its places imitates the sum of two others: if one place is shut, another comes."""
+    rng = np.random.default_rng(5)
+    true = rng.standard_normal((150, 2))
+    seats = true.sum(axis=1, keepdims=True) + 0.3 * rng.standard_normal((150, 2))
+    y = 3.0 * true.sum(axis=1) + rng.standard_normal(150)
+    places = [Offer("seat", (f"seat {k}",), ((2 + k,),), math.log(0.05)) for k in range(2)]
+    offers = [*places, single("one", 0), single("two", 1)]
+    found = find_explanation(bank(y, np.column_stack([true, seats]), offers, UNBOUND[:4]))
+    assert {o.name for o in found.offers} == {"one", "two"}
+
+
+def test_three_names_are_found_behind_two_imitations() -> None:
+    """One column imitates the sum of three, another that of two, which comes in its place."""
+    rng = np.random.default_rng(1)
+    true = rng.standard_normal((150, 3))
+    known = true.sum(axis=1) + 0.3 * rng.standard_normal(150)
+    other = true[:, 1] + true[:, 2] + 0.5 * rng.standard_normal(150)
+    y = 3.0 * true.sum(axis=1) + rng.standard_normal(150)
+    offers = [single(n, k) for k, n in enumerate("kabcd")]
+    of = bank(y, np.column_stack([known, true, other]), offers, UNBOUND[:5])
+    assert {o.name for o in find_explanation(of, known=[0]).offers} == {"a", "b", "c"}
+
+
 def test_what_is_known_stays_where_it_is_better() -> None:
     """Seven effects of which an ascent from nothing finds three at once."""
     rng = np.random.default_rng(6)

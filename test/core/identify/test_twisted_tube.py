@@ -8,7 +8,12 @@ from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import LIBRARY
-from longarm_comp.core.effects.compliances import LinkTorsion
+from longarm_comp.core.effects.compliances import (
+    BearingTilt,
+    JointCompliance,
+    LinkStiffness,
+    LinkTorsion,
+)
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.link_deflection import LinkDeflection
 from longarm_comp.core.identify.posterior.explain import explain_session
@@ -67,3 +72,64 @@ def test_a_tube_that_twists_is_no_soft_bearing() -> None:
     assert {"link_torsion"} == {name for f in found.found for name in f.credible}
     (softness,) = {round(t.softness, 0) for t in found.chosen_terms if isinstance(t, LinkTorsion)}
     assert softness == 4.0
+
+
+def parallel_arm() -> Arm:
+    """A light arm whose two tubes bend in one plane: its joints 2, 3 and 4 are parallel."""
+    rows = [
+        (0, 0, 0.25, [-90, 90]),
+        (90, 0, 0, [-40, 70]),
+        (0, 0.7, 0, [-100, 20]),
+        (0, 0.6, 0, [-60, 60]),
+        (-90, 0, 0, [-150, 150]),
+    ]
+    joints = [
+        {"id": k, "type": "revolute", "limits_deg": ends, "alpha_deg": a, "a_m": x, "d_m": d}
+        for k, (a, x, d, ends) in enumerate(rows, 1)
+    ]
+    beams = [("upper", 3, 0.7, 0.04, 0.26), ("fore", 4, 0.6, 0.03, 0.125)]
+    made = {"role": "a", "E_pa": 7e10, "poisson": 0.3}
+    at = {"frame": 5, "position_m": [0.15, 0.03, 0.08]}
+    return Arm.parse(
+        {
+            "name": "parallel",
+            "convention": "mdh_craig",
+            "tip": at,
+            "joints": joints,
+            "links": [
+                {"name": name, "row": row, "length_m": x, "body_length_m": x, "mass_kg": kg}
+                | {"section": {"type": "tube", "od_m": od, "id_m": 0.9 * od}}
+                | made
+                for name, row, x, od, kg in beams
+            ],
+            "payload": at | {"mass_kg": 0.8},
+            "point_masses": [
+                {"name": f"servo {k}", "frame": k, "mass_kg": kg}
+                for k, kg in enumerate((1.2, 1.0, 0.5, 0.3, 0.1), 1)
+            ],
+        },
+        "test",
+    )
+
+
+def test_two_names_replace_one_that_imitates_both() -> None:
+    """Tubes that bend and twist more, and soft joints: three soft bearings imitate two of these.
+
+    No exchange of one name for another leaves the bearings.
+    """
+    light, rng = parallel_arm(), np.random.default_rng(4)
+    q = rng.uniform(light.lower, light.upper, (150, 5))
+    hidden = (
+        *(LinkStiffness(beam=name, softness=s) for name, s in (("upper", 1.3), ("fore", 0.9))),
+        *(LinkTorsion(beam=name, softness=s) for name, s in (("upper", 3.8), ("fore", 2.5))),
+        *(JointCompliance(joint, compliance=c) for joint, c in ((2, 1.5e-4), (4, 2e-3))),
+    )
+    tip = Model(light, (LinkDeflection(), *hidden)).tip(q)
+    rows = Session.record(q, tip + 1e-4 * rng.standard_normal((150, 3)))
+    base = declared_model(light).plus(*geometry_terms(light, rows))
+    kinds = (LinkStiffness, LinkTorsion, JointCompliance, BearingTilt)
+    tried = list_candidates(light, rows.context(), kinds, base.terms).testable
+    found = explain_session(base, rows, tried, functions=False)
+    sure = {f.name for f in found.found if f.credible == (f.name,)}
+    assert {"link_stiffness", "link_torsion"} <= sure
+    assert "bearing_tilt" not in sure

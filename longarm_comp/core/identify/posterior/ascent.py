@@ -50,8 +50,10 @@ def find_explanation(
     """Find the best explanation by coordinate ascent, with a restart for each effect found.
 
     The ascent only finds the nearest maximum.  So it starts without effects, and again from the
-    known ones. Then the offers of each effect found are excluded once: others are sought in its
-    place, and the offers are admitted again. The explanation of higher evidence is kept.
+    known ones. Then the name of each effect found is excluded once: effects of other names, which
+    may be several, are sought in its place, and the name is admitted again. The explanation of
+    higher evidence is kept.  If only the single offer were excluded, the same name would return at
+    other places, and two effects could never replace one.
 
     Args:
         known: numbers of the offers that were found before.
@@ -68,13 +70,14 @@ def find_explanation(
     best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
-    shut_once: set[int] = set()
-    while left := [e for e in best.effects if e.best not in shut_once]:
+    shut_once: set[str] = set()
+    while left := [e for e in best.effects if e.offer.name not in shut_once]:
         effect = left[0]
-        shut_once.add(effect.best)
-        shut = frozenset(np.flatnonzero(effect.q > UNLIKELY).tolist())
+        shut_once.add(effect.offer.name)
+        names = {bank.offers[n].name for n in np.flatnonzero(effect.q > UNLIKELY)}
+        shut = frozenset(n for n, offer in enumerate(bank.offers) if offer.name in names)
         others = tuple(e for e in best.effects if e is not effect)
-        without = _add_effects(bank, others, shut, min(len(others) + 2, most))
+        without = _add_effects(bank, others, shut, min(len(others) + AT_ONCE, most))
         again = _drop_superfluous(_add_effects(bank, without.effects, frozenset(), most))
         if again.evidence > best.evidence + BETTER:
             best = again
