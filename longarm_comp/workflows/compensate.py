@@ -22,7 +22,7 @@ from longarm_comp.core.compensation.compensate import physics_of
 from longarm_comp.core.compensation.realisable import Lattice
 from longarm_comp.core.compensation.result import Compensation, CompensationOptions, Method, Status
 from longarm_comp.core.compensation.target_frame import Placement, find_placement
-from longarm_comp.core.compensation.unknown import history_joints
+from longarm_comp.core.compensation.unknown import sided_joints
 from longarm_comp.core.data.measured_rows import array_of
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
@@ -193,7 +193,7 @@ def compensate(
     options = CompensationOptions(chosen, locked, run_up, realisable, **settling)
     unknown = History.unknown(model.arm.n)
     if history is None and not (
-        any(map(np.any, told.approach)) or history_joints(physics_of(model, chosen))
+        any(map(np.any, told.approach)) or sided_joints(physics_of(model, chosen))
     ):
         still = np.zeros(model.arm.n)
         made: dict[int, Arrival] = {}

@@ -16,8 +16,9 @@ the model lacks looks as if the parameters changed with the joints.  The residua
 white noise plus such a Gaussian process.  Their shares follow from the evidence of the rows, with
 the part that the fit explains projected out (restricted likelihood; Patterson and Thompson 1971,
 Biometrika 58), and from repeats.  The sensor's share in the variance of the residual is limited
-(`share_of_sensor`). It cannot exceed the noise that the rows state. Scatter also is not sensor
-noise if it turns with the tool, grows with the levers of the joints, or has two centres.
+(`share_of_sensor`). It cannot exceed the noise that the rows state, nor that of most rows: a few
+large errors are the arm's. Scatter also is not sensor noise if it turns with the tool, grows with
+the levers of the joints, or has two centres.
 
 Every long arm bends under load. If the rows do not show this, the fit has explained it by the
 geometry.  The measuring device may drift too: if the rows were measured along one joint's range,
@@ -85,9 +86,10 @@ def measure_uncertainty(fit: ModelFit, anew: np.ndarray | None = None) -> ModelU
         lengths = fit.noise_m[fit.metres > 0]  # no position tells what a row leaves
         noise, structure = np.eye(3) * (lengths**2).sum() / max(len(lengths), 1), np.zeros((3, 3))
     else:
-        spread = fit.residual[pointed][:, :3]
+        spread = (fit.residual[pointed][:, :3] ** 2).mean(axis=0)
+        usual = fit.sigma[:3] ** 2 * (1.0 / fit.weights[pointed]).mean()  # of most rows
         sensor = min(1.0 - estimate_arm_share(fit), share_of_sensor(fit).share)
-        noise = sensor * np.diag((spread**2).mean(axis=0))
+        noise = np.diag(np.minimum(sensor * spread, usual))
         alike, structure = left_out.find_least_errors(noise)
     rho = lag_correlation(fit.residual / fit.sigma, fit.weights, fit.session.measured)
     alike = max(alike, rows_as_one(rho) / rows_as_one(fit.rho))

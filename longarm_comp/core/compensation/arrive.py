@@ -14,7 +14,7 @@ from longarm_comp.core.compensation.result import (
     CompensationOptions,
     ResidualPredictor,
 )
-from longarm_comp.core.compensation.unknown import history_joints
+from longarm_comp.core.compensation.unknown import sided_joints
 from longarm_comp.core.ik import solver as ik
 from longarm_comp.core.model.model import Model
 
@@ -60,7 +60,7 @@ def compensate_move(
     options, arm = options or CompensationOptions(), model.arm
     physics = physics_of(model, options.method)
     seed, to = start if seed is None else seed, np.asarray(target, dtype=float)[None]
-    by_field = history_joints(physics)
+    joints = sided_joints(physics)
     length = np.array(model.row_legs or np.zeros(arm.n))
 
     def move_to(q: np.ndarray) -> Move:
@@ -71,14 +71,14 @@ def compensate_move(
         return stack_contexts([context_after(history.after(move_to(x).points, start)) for x in q])
 
     def solve(options: CompensationOptions) -> SolvedTargets:
-        at = context_at if by_field else None
+        at = context_at if joints else None
         return SolvedTargets(model, predictor, to, context, seed, position_only, options, at)
 
     wanted = np.zeros(arm.n) if sides is None else sides
     move = Move(np.zeros(0), None, wanted, np.zeros(arm.n, bool))
     arrived = history
     fault = ik.target_faults(to, position_only, "compensate")[0]
-    if not fault and (predictor is not None or by_field or sides is not None):
+    if not fault and (predictor is not None or joints or sides is not None):
         here = context_after(history)
         first = ik.solve(
             physics,
@@ -90,7 +90,6 @@ def compensate_move(
             max_starts=options.starts,
         )
         if sides is None and options.run_up:
-            joints = sorted({joint for each in by_field.values() for joint in each})
             wanted = _choose_sides(physics, start, first.q, joints, here, length)
         move = move_to(first.q)
         arrived = history.after(move.points, start)
@@ -100,7 +99,7 @@ def compensate_move(
         found = solve(replace(options, realisable=False))
         seed, move = found.q[0], move_to(found.q[0])
         arrived = history.after(move.points, start)
-        if not found.status[0].success or not by_field or arrived.agrees(assumed):
+        if not found.status[0].success or not joints or arrived.agrees(assumed):
             break
         if trials_left == 1:
             arrived = arrived.common_with(assumed)

@@ -69,6 +69,18 @@ def history_joints(model: Model) -> dict[str, tuple[int, ...]]:
     return {name: tuple(sorted(joints)) for name, joints in read.items()}
 
 
+def sided_joints(model: Model) -> list[int]:
+    """List the joints (0-based) for which the side of arrival matters to a command.
+
+    They are those whose history the model's effects read, and those that arrived from one side in
+    all rows: what the other side does, these rows do not show.
+    """
+    joints = {joint for each in history_joints(model).values() for joint in each}
+    if model.uncertainty is not None:
+        joints |= {j for j, known in enumerate(model.arrivals) if min(known) == 0 < max(known)}
+    return sorted(joints)
+
+
 def unknown_history(
     model: Model, q: np.ndarray, context: Context, doubtful: np.ndarray | None = None
 ) -> tuple[np.ndarray, list[str]]:

@@ -105,6 +105,17 @@ def test_rows_that_count_as_one_leave_the_parameters_less_known(
     assert np.median(spread[1] / spread[0]) == pytest.approx(3.0, rel=0.1)
 
 
+def test_a_few_large_errors_are_no_noise() -> None:
+    """Where the arm errs, the tip does: as noise, they would make the promise of all rows less."""
+    fitted = zeroed(120)
+    residual, records = fitted.residual.copy(), []
+    for off in (0.0, 12.0 * SIGMA):
+        residual[::40, :3] += off
+        records.append(measure_uncertainty(dataclasses.replace(fitted, residual=residual)))
+    plain, with_errors = (np.sqrt(np.trace(each.noise) / 3.0) for each in records)
+    assert 0.8 * SIGMA < plain < 1.1 * SIGMA and with_errors < 1.1 * plain
+
+
 LUFFS = (1, 2)  # 0-based joints of the heavy arm that its weight turns
 WEAK = tuple(4e-4 if j in LUFFS else 0.0 for j in range(HEAVY.n))
 

@@ -4,7 +4,7 @@ The true arm is the simulated one, which computes by other physics than the mode
 """
 
 import dataclasses
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -12,11 +12,14 @@ from places import DEMO_ARM
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import Context
+from longarm_comp.core.arm.history import History
 from longarm_comp.core.calibration.calibrate import fit_stages
 from longarm_comp.core.calibration.uncertainty import with_uncertainty
+from longarm_comp.core.compensation.arrive import compensate_move
 from longarm_comp.core.compensation.compensate import compensate, judge
-from longarm_comp.core.compensation.result import Method
+from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.compensation.sighting import error_of_sighting
+from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.compensation.unshown import describe_unshown, unshown_effects
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched_effects
@@ -29,6 +32,8 @@ from longarm_comp.sim.arm_truth import TrueArm
 from longarm_comp.sim.context import TrueContext
 from longarm_comp.sim.hidden import drives
 from longarm_comp.sim.rods import QUICK_STEPS
+from longarm_comp.workflows.compensate import compensate as compensate_targets
+from longarm_comp.workflows.compensate import complete_after_move
 
 ARM = Arm.load(DEMO_ARM)
 ONE = np.eye(ARM.n)
@@ -145,6 +150,30 @@ def sizes_at_joint(model: Model, q: np.ndarray, sides: np.ndarray, joint: int = 
     (zero,) = (t for t in JointZero.for_arm(ARM) if t.joint == ARM.commanded[joint])
     columns = model.columns(model.posture(unstack(q)), slots_of(ARM, [zero]))[1]
     return np.asarray(np.sqrt(np.einsum("kii->k", covariance) / (columns**2).sum(axis=(1, 2))))
+
+
+def test_a_command_arrives_from_the_only_side_that_the_rows_had() -> None:
+    """The model holds no effect that depends on it, and the direct way comes from above."""
+    true = friction(HELD)
+    model = learned(rows := session(true, one_sided=HELD))
+    assert not history_joints(model)
+    for q in commands(rows)[0][:6]:
+        start, unknown = q + 0.2 * (ARM.upper - q), History.unknown(ARM.n)
+        found, direct = (
+            compensate_move(
+                model, None, model.tip(q, Context()), start=start, history=unknown, seed=q,
+                context_after=partial(complete_after_move, Context()), position_only=True,
+                options=CompensationOptions(Method.DEFLECTION, run_up=run_up),
+            )
+            for run_up in (True, False)
+        )  # fmt: skip
+        assert found.outcome.success and found.move.side[HELD] == 1.0 and not found.outcome.reason
+        assert direct.move.side[HELD] == -1.0 and "in every row" in direct.outcome.reason
+        assert direct.outcome.p90_m > 1.5 * found.outcome.p90_m
+        (listed,) = compensate_targets(
+            model, model.tip(q[None], Context()), method="deflection", frame="base"
+        ).arrivals
+        assert listed.move.side[HELD] == 1.0 and not listed.outcome.reason
 
 
 def test_what_is_added_has_the_size_that_such_effects_have() -> None:
