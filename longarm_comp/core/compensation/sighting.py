@@ -13,8 +13,9 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.compensation.beyond import list_beyond, outside_data
 from longarm_comp.core.compensation.expected import expected_miss, spread_of
 from longarm_comp.core.compensation.unknown import moved_by_payload, unknown_history
-from longarm_comp.core.compensation.unshown import structure_left, unshown_effects
+from longarm_comp.core.compensation.unshown import unshown_effects
 from longarm_comp.core.compensation.weighing import SD
+from longarm_comp.core.model.domain import least_moved
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 
@@ -72,7 +73,8 @@ def error_of_sighting(
     (unknown,), _ = unknown_history(model, here, context)
     (outside,), _ = outside_data(model, here, context)
     if learned is None:
-        (structure,) = structure_left(model, promised, here, context)
+        # not bounded by usual sizes, as a promise is: an unusual error is no change since the session
+        (structure,) = promised.structure_at(here, least_moved(model.arm))
         if promised.alternatives:  # each errs alike at each visit
             miss = expected_miss(model, q, context, np.zeros(3))
             structure = structure + spread_of(miss.chance, miss.apart, miss.further)
