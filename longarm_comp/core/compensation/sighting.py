@@ -73,7 +73,7 @@ def error_of_sighting(
     (unknown,), _ = unknown_history(model, here, context)
     (outside,), _ = outside_data(model, here, context)
     if learned is None:
-        # not bounded by usual sizes, as a promise is: an unusual error is no change since the session
+        # without the bound of a promise by usual sizes: an unusual error is no change
         (structure,) = promised.structure_at(here, least_moved(model.arm))
         if promised.alternatives:  # each errs alike at each visit
             miss = expected_miss(model, q, context, np.zeros(3))
