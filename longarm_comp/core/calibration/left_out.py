@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from longarm_comp.core.calibration.model_fit import ModelFit, choose_evenly, prior_widths
-from longarm_comp.core.compensation.unknown import history_joints
 from longarm_comp.core.data.set_aside import chance_of_arm
 from longarm_comp.core.model.uncertainty import LEVEL, sizes
 
@@ -25,8 +24,6 @@ MOST = 1000
 
 They determine the 90 % level to one percent.
 """
-NEAR = 20
-"""Number of rows, nearest by a joint, in which the sides from which it arrived are counted."""
 AMID = (1.0 + LEVEL) / 2.0
 """Largest fraction of the rows left out at random that may lie inside the stated radius: halfway
 from `LEVEL` to 1.
@@ -45,8 +42,8 @@ class LeftOut:
     Attributes:
         error: (M, 3) measured - predicted by a fit without the row, m.
         covariance: (M, 3, 3) covariance of this prediction by the fitted parameters, m^2.
-        count: (M,) weight of each; the weights of one row sum up to its `weigh_by_sides`, or to the
-            probability that the arm was there, if the fit set it aside.
+        count: (M,) weight of each; the weights of one row sum up to 1, or to the probability that
+            the arm was there, if the fit set it aside.
         amid: (M,) True if similar rows stayed in the fit (random parts), False if a whole part of
             a joint's range, or of the touched places, was left out.
         believed: (M,) False for a row that the fit set aside.
@@ -83,7 +80,6 @@ class LeftOut:
         judged = choose_evenly(np.arange(len(kept)), MOST)
         q = fit.session.q[kept]
         made = []
-        weight = weigh_by_sides(fit)[kept]
         places = None
         if touched is not None:  # points at known distances belong to one tool: one place
             places = touched.copy()
@@ -107,8 +103,8 @@ class LeftOut:
                     proved = anew[kept[np.flatnonzero(out)[mine]]]
                     error = np.where(np.isnan(proved), error, proved)
                 carried = moved @ inverse @ np.swapaxes(moved, 1, 2)
-                alike = (np.full(len(error), each) for each in (near, True))
-                made.append((error, carried, share * weight[out][mine], *alike))
+                alike = (np.full(len(error), each) for each in (share, near, True))
+                made.append((error, carried, *alike))
         if touched is None:
             aside = np.flatnonzero((fit.weights == 0) & fit.has_point)
             moved = fit.columns[aside][:, :3] * prior_widths(fit.slots)
@@ -145,8 +141,7 @@ class LeftOut:
             radius = sizes(count * self.covariance[amid] + noise + further)[1]
             if np.median(radius) < best:
                 best, alike, structure = float(np.median(radius)), float(count), further
-            inside = np.average(size <= radius, weights=self.count[amid])
-            if inside <= AMID or not further.any():
+            if (size <= radius).mean() <= AMID or not further.any():
                 break
         return alike, structure
 
@@ -177,27 +172,6 @@ class LeftOut:
             middle = 0.5 * (low + high)
             low, high = (low, middle) if holds_enough(middle) else (middle, high)
         return high * shape
-
-
-def weigh_by_sides(fit: ModelFit) -> np.ndarray:
-    """Return by how much each row (N,) counts because of the sides from which its joints arrived.
-
-    On the way from pose to pose a joint comes to the upper end of its range from below.  A command
-    comes from the side that it chooses.  So for joints whose history the model reads, a row counts
-    as if both sides were as frequent among the rows near it (covariate shift; Tibshirani and others
-    2019, arXiv 1904.06019).  The mean over the fitted rows is 1.
-    """
-    kept, session = np.flatnonzero(fit.weights > 0), fit.session
-    weight = np.ones(len(session))
-    for j in sorted({j for each in history_joints(fit.model).values() for j in each}):
-        side, q = session.approach[kept, j], session.q[kept, j]
-        if {-1.0, 1.0} <= set(side):
-            near = np.argsort(np.abs(q[:, None] - q), axis=1, kind="stable")[:, :NEAR]
-            alike = (side[near] == side[:, None]).sum(axis=1)
-            share = (alike + 2.0) / (near.shape[1] + 4.0)  # of a few rows (Agresti, Coull 1998)
-            weight[kept] *= np.where(side == 0.0, 1.0, 0.5 / share)
-    weight[kept] /= weight[kept].mean()
-    return weight
 
 
 def subtract_point_means(rows: np.ndarray, touched: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

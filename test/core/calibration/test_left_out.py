@@ -10,12 +10,11 @@ from small_arm import ARM
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.fit import fit_model
-from longarm_comp.core.calibration.left_out import LeftOut, subtract_point_means, weigh_by_sides
+from longarm_comp.core.calibration.left_out import LeftOut, subtract_point_means
 from longarm_comp.core.calibration.uncertainty import measure_uncertainty, with_uncertainty
 from longarm_comp.core.compensation.expected import expected_miss
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.data.set_aside import EITHER, chance_of_arm
-from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.model.uncertainty import sizes
 from longarm_comp.sim.hidden.drives import JointGain
 from longarm_comp.sim.hidden.geometry import JointZero
@@ -188,33 +187,3 @@ def test_a_row_whose_visit_is_believed_was_the_sensor_s() -> None:
     aside = np.zeros(60, dtype=bool)
     aside[20:36] = True  # eight visits, one after the other
     assert chance_of_arm(rows, aside)[aside].tolist() == [1.0] * 16
-
-
-def test_a_row_whose_side_is_rare_near_it_counts_more(rng: np.random.Generator) -> None:
-    """A joint comes to the top of its range from below, but a command from the side it chooses.
-
-    Every tenth of these rows comes from the other side, and errs by five times as much.
-    """
-    natural, free = session(n=200), session(n=200, seed=2)
-    share = (natural.q - ARM.lower) / (ARM.upper - ARM.lower)
-    usual = np.where(share[:, 1] > 0.5, 1.0, -1.0)
-    rare = rng.random(200) < 0.1
-    side = np.where(rare, -usual, usual)
-    sides = np.where(np.arange(ARM.n) == 1, side[:, None], natural.approach)
-    natural = dataclasses.replace(natural, approach=sides)
-    play = Backlash(joint=2)
-    radii = []
-    for rows, terms in ((natural, (play,)), (natural, ()), (free, (play,))):
-        plain = calibrated(rows)
-        fitted = fit_model(plain.model.plus(*terms), rows, **plain.noise_arguments)
-        weight = weigh_by_sides(fitted)
-        assert weight.mean() == pytest.approx(1.0)
-        if rows is free:
-            assert weight.min() > 0.5 and weight.max() < 2.0
-            continue
-        assert weight[rare].mean() > 2.0 * weight[~rare].mean() if terms else (weight == 1.0).all()
-        drawn = np.random.default_rng(5)
-        errors = SIGMA * np.where(rare, 5.0, 1.0)[:, None] * drawn.standard_normal((200, 3))
-        known = measure_uncertainty(fitted, errors)
-        radii.append(np.sqrt(np.trace(known.structure)))
-    assert radii[0] > 1.5 * radii[1]
