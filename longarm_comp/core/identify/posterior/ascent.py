@@ -51,9 +51,9 @@ def find_explanation(
 
     The ascent only finds the nearest maximum.  So it starts without effects, and again from the
     known ones. Then the name of each effect found is excluded once: effects of other names, which
-    may be several, are sought in its place, and the name is admitted again. The explanation of
-    higher evidence is kept.  If only the single offer were excluded, the same name would return at
-    other places, and two effects could never replace one.
+    may be several, are sought in its place, and the name is admitted again. Of all these
+    explanations that of highest evidence is kept.  If only the single offer were excluded, the same
+    name would return at other places, and two effects could never replace one.
 
     Args:
         known: numbers of the offers that were found before.
@@ -78,7 +78,8 @@ def find_explanation(
         shut = frozenset(n for n, offer in enumerate(bank.offers) if offer.name in names)
         others = tuple(e for e in best.effects if e is not effect)
         without = _add_effects(bank, others, shut, min(len(others) + AT_ONCE, most))
-        again = _drop_superfluous(_add_effects(bank, without.effects, frozenset(), most))
+        again = _add_effects(bank, without.effects, frozenset(), most)
+        again = max(map(_drop_superfluous, (without, again)), key=lambda e: e.evidence)
         if again.evidence > best.evidence + BETTER:
             best = again
     return best
