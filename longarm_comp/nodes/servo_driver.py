@@ -186,7 +186,7 @@ class _ServoDriver(ArmNode, LifecycleNode):
         for said in self.arm.said:
             self.get_logger().info(said)
         self.fault = ""
-        self._stops.take_over(self.arm)
+        self._stops.guard(self.arm)
         return super().on_configure(state)
 
     @reporting_faults

@@ -206,7 +206,7 @@ class Stops:
         """The joints whose servos a loss of power would bring back to another turn."""
         return self._turns.away
 
-    def take_over(self, arm: ServoArm) -> None:
+    def guard(self, arm: ServoArm) -> None:
         """Note that from now on an arm just configured switches the torque off."""
         self.keep_doubt(arm.returned)
         self.owe_off(False)
