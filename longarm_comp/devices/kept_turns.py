@@ -20,10 +20,11 @@ class KeptTurns:
     Args:
         folder: folder for files that outlast a process.
         arm: path of arm.yaml; empty if not known: the arm is then known by its port.
-        joints: names of all joints; all are taken for away if the file cannot be read.
+        joints: names of all joints; all are taken for away if the file cannot be read, or names
+            others: a joint has another name since.
 
     Attributes:
-        away: names of these joints, as they are or shall be in the file.
+        away: names of these joints, as they were last read.
     """
 
     def __init__(self, folder: Path, arm: str, port: str, joints: Collection[str]) -> None:
@@ -31,16 +32,24 @@ class KeptTurns:
         self._file = folder / TURNS / f"{name}.txt"
         self._disk, self._writing = futures.ThreadPoolExecutor(1), futures.Future[None]()
         self._writing.set_result(None)
-        self.away: frozenset[str] = frozenset()
+        self._kept: frozenset[str] | None = frozenset()  # in the file; None: not known
         try:
-            self.away = frozenset(self._file.read_text("utf-8").splitlines())
+            self._kept = frozenset(self._file.read_text("utf-8").splitlines())
         except FileNotFoundError:
             pass
         except (OSError, ValueError):
-            self.away = frozenset(joints)
+            self._kept = None
+        known = frozenset(joints)
+        self.away = known if self._kept is None or self._kept - known else self._kept
 
     def keep(self, away: frozenset[str]) -> None:
         """Write the joints that are away, beside the caller; call it again after every reading."""
-        if self._writing.done() and (away != self.away or self._writing.exception()):
+        self.away = away
+        if self._writing.done() and (away != self._kept or self.trouble):
             text = "".join(f"{name}\n" for name in sorted(away))
-            self.away, self._writing = away, self._disk.submit(write_text, self._file, text)
+            self._kept, self._writing = away, self._disk.submit(write_text, self._file, text)
+
+    @property
+    def trouble(self) -> str:
+        """The reason why the last write failed; empty if it did not, or is under way."""
+        return str((self._writing.done() and self._writing.exception()) or "")

@@ -144,6 +144,7 @@ class StopLatch:
         }
         if not anew and all(os.path.lexists(file) for file in texts):
             return
+        _make_files(texts)  # at once, as `mark` does: the texts wait for the disk
         for file, text in texts.items():
             write_text(file, text)
         folder = os.open(self._folder, os.O_RDONLY)

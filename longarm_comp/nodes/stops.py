@@ -115,12 +115,16 @@ class Stops:
                 finally:
                     self.let_go()
             else:
-                if arm is not None and Stop.HOLD not in self._latch.standing:
-                    arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
-                self._latch.ask(Stop.HOLD)
+                self._hold()
             self._latch.keep(_MOMENT_S)
         finally:
             self.begin_anew()
+
+    def _hold(self, why: str = "") -> None:
+        arm = self._site.arm
+        if arm is not None and Stop.HOLD not in self._latch.standing:
+            arm.follower.break_off(EventKind.HELD, "held: it stays where it is")
+        self._latch.ask(Stop.HOLD, why)
 
     def _answer_stopped(self) -> None:
         """Answer the requests to stop, once the disk has kept the stop or hangs."""
@@ -213,10 +217,17 @@ class Stops:
         self.let_go()
 
     def keep_turns(self, arm: ServoArm) -> None:
-        """Keep a doubt about the servos' turns, and then which joints are `away`."""
+        """Keep a doubt about the servos' turns, and then which joints are `away`.
+
+        An arm of which this cannot be kept is held: a count that it loses would go unnoticed.
+        """
         self.keep_doubt(arm.doubt)
         if not (self._latch.writing or self._latch.trouble):
             self._turns.keep(arm.away)
+        if self._turns.trouble and Stop.HOLD not in self._latch.standing:
+            self._hold(f"because servo turns cannot be kept: {self._turns.trouble}")
+            self._latch.keep(_MOMENT_S)
+            self.begin_anew()
 
     def let_go(self) -> None:
         """Switch torque off under an emergency stop, also if the driver is not configured."""

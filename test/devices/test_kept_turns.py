@@ -1,6 +1,7 @@
 """The file of joints whose servos stand outside the turn from which they count after power-on."""
 
 import os
+import threading
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,30 @@ def test_every_joint_is_away_where_the_file_cannot_be_read(tmp_path: Path) -> No
     file.unlink()
     file.mkdir()
     assert kept(tmp_path).away == A | B
+
+
+def test_every_joint_is_away_where_the_file_names_one_that_has_another_name_since(
+    tmp_path: Path,
+) -> None:
+    kept_as(tmp_path, A)
+    renamed = KeptTurns(tmp_path, "", "/dev/ttyUSB0", ("b", "c"))
+    assert renamed.away == {"b", "c"}
+    assert wait_until(lambda: renamed.keep(B) or kept(tmp_path).away == B)
+
+
+def test_the_last_reading_counts_while_the_disk_still_writes_an_earlier_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The driver is then configured again, by what it knows."""
+    made, goes_on, own = kept(tmp_path), threading.Event(), os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: (goes_on.wait(600.0), own(file)))
+    try:
+        made.keep(A)
+        made.keep(A | B)
+        assert made.away == A | B
+    finally:
+        goes_on.set()
+    assert wait_until(lambda: made.keep(A | B) or kept(tmp_path).away == A | B)
 
 
 def test_what_could_not_be_written_is_written_later(

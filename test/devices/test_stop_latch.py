@@ -1,5 +1,7 @@
 """Files of stops: whose they are, damaged ones, and folders that cannot be read or written."""
 
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +14,18 @@ from longarm_comp.devices.state_folder import state_folder
 from longarm_comp.devices.stop_latch import Stop, StopLatch, kept_stops, refuse_under_stop
 
 PORT = "/dev/ttyUSB0"
+KILLED = """
+import os, sys, threading
+from pathlib import Path
+from longarm_comp.devices.stop_latch import Stop, StopLatch
+latch = StopLatch(Path(sys.argv[1]), "/", "", sys.argv[2])
+os.fsync = lambda file: threading.Event().wait()
+latch.ask(Stop[sys.argv[3]])
+latch.keep(0.005)
+while not list(Path(sys.argv[1]).glob(f"*.{sys.argv[3].lower()}")):
+    latch.keep(0.1)
+os.kill(os.getpid(), 9)
+"""
 
 
 def latch(folder: Path, namespace: str = "/", arm: str = "", port: str = PORT) -> StopLatch:
@@ -25,6 +39,15 @@ def stopped(folder: Path, stop: Stop = Stop.ESTOP, **arm: str) -> list[Path]:
     made.keep()
     assert not made.trouble
     return sorted((folder / "state").glob(f"*.{stop.name.lower()}"))
+
+
+@pytest.mark.parametrize("stop", Stop)
+def test_a_stop_outlasts_a_process_that_is_killed_while_the_disk_writes(
+    tmp_path: Path, stop: Stop
+) -> None:
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "state"), PORT, stop.name]
+    assert subprocess.run(command, timeout=60.0).returncode == -9
+    assert list(latch(tmp_path).standing) == [stop]
 
 
 @pytest.mark.parametrize("stop", Stop)

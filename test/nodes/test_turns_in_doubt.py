@@ -14,6 +14,7 @@ from lifecycle_msgs.msg import Transition
 from std_srvs.srv import Trigger
 from stops_bench import StoppedArm
 
+from longarm_comp.devices.follower_report import FollowerState
 from longarm_comp.devices.kept_turns import TURNS, KeptTurns
 from longarm_comp.devices.servo_watch import JointFault, ServoTrouble
 from longarm_comp.devices.state_folder import state_folder
@@ -93,7 +94,7 @@ def test_a_count_that_was_lost_while_no_driver_ran_is_a_fault(far: Rig, ended: s
     """It reads in the turn of power-on, which it had left."""
 
     def away() -> frozenset[str]:
-        return KeptTurns(state_folder(), "", str(far.link), ()).away
+        return KeptTurns(state_folder(), "", str(far.link), ("shoulder", "boom")).away
 
     far.in_order().goes(shoulder=0.9)
     for lost in (False, True):
@@ -202,6 +203,28 @@ def test_what_the_servos_counted_is_forgotten_only_once_the_doubt_about_it_is_ke
     driver.stage.spin(lambda: not stops.unkept)
     stops.keep_turns(arm)
     assert stops.away == {"a"}
+
+
+def test_an_arm_whose_turns_cannot_be_kept_is_held_and_it_is_said(
+    driver: StoppedArm, tmp_path: Path
+) -> None:
+    stops, arm, folder = driver.stops, driver.arm, tmp_path / "stops" / TURNS
+    assert arm is not None
+    folder.write_text("a file where the folder should be")
+    driver.moves()
+    stops.keep_turns(arm)
+    assert not stops.standing  # nothing is to be kept
+    arm._counts.away = frozenset("a")
+    driver.cycles(lambda: stops.keep_turns(arm) or stops.standing)
+    assert "turns cannot be kept" in stops.standing and str(folder) in stops.standing
+    assert driver.told[-1][0] and stops.state[0] == DriverState.HOLDING
+    driver.cycles(lambda: arm.follower.state is FollowerState.HOLDING)
+    assert driver.on == {True}
+    folder.unlink()
+    driver.cycles(lambda: stops.keep_turns(arm) or folder.is_dir())
+    assert stops.standing and driver.ask(graph.RESET).success
+    stops.keep_turns(arm)
+    assert not stops.standing
 
 
 def test_simulated_servos_have_counted_no_turns(
