@@ -157,9 +157,7 @@ class Rows:
             raise InputError(buffer.where, "tip_measured", "none after a command", allowed)
         variance = np.array([row.sighting.variance for row in rows])
         blank = np.array([np.isnan(row.sighting.xyz).any() for row in rows])
-        sigma = None
-        if (variance[~blank] > 0).all() and not blank.all():
-            sigma = np.sqrt(np.where(blank[:, None] & (variance <= 0), np.nan, variance))
+        sigma = np.sqrt(variance) if np.isfinite(variance[~blank]).any() else None
         columns = {"t_s": np.array([row.sighting.t for row in rows])}
         for name, values in buffer.columns.items():
             columns[name] = np.array([row.columns.get(name, values.first) for row in rows])

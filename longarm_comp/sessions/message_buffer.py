@@ -189,8 +189,11 @@ class MessageBuffer:
                 raise self._error_at(
                     "tip_measured orientation", t, turn, "a quaternion of length 1"
                 )
+        variance = covariance[[0, 7, 14]]
+        if not (np.isfinite(variance) & (variance > 0)).all():  # it does not say
+            variance = np.full(3, np.nan)
         at = self._message_time(_stamp_ns(message))
-        sighting = Sighting(at, xyz, covariance[[0, 7, 14]], turn, turn_variance)
+        sighting = Sighting(at, xyz, variance, turn, turn_variance)
         insort(self.sightings, sighting, key=_time)
         self.frames.add(message.header.frame_id)
 

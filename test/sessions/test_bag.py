@@ -218,6 +218,22 @@ def test_a_measurement_that_failed_is_a_row_and_says_why(tmp_path: Path) -> None
     np.testing.assert_array_equal(read_csv(tmp_path / "rows.csv", ARM).sigma, session.sigma)
 
 
+@pytest.mark.parametrize("silent", [0.0, np.nan, np.inf])
+def test_a_sighting_of_unknown_accuracy_costs_only_its_own_row_the_sigma(
+    tmp_path: Path, silent: float
+) -> None:
+    """Of the second row one of two sightings does not say how accurate it is."""
+    with robot(tmp_path / "bag") as put:
+        for k in range(3):
+            command(put, k + 1.0, [k / 10, 0.5, 0.05, 0.2])
+            sighting(put, k + 1.4, [0.4, 0.1, 0.3], sd=1e-3)
+            sighting(put, k + 1.5, [0.4, 0.1, 0.3], sd=silent if k == 1 else 1e-3)
+    session = read_bag(tmp_path / "bag", ARM)
+    assert session.seen.all()
+    known, unknown = [1e-3 / np.sqrt(2)] * 3, [np.nan] * 3
+    np.testing.assert_allclose(session.sigma, [known, unknown, known])
+
+
 def test_directions_come_from_commands_that_only_pass(tmp_path: Path) -> None:
     with robot(tmp_path / "bag") as put:
         command(put, 0.0, [0.3, 0.3, 0.05, 0.0])  # an approach pose: no sighting

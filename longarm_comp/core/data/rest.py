@@ -133,14 +133,14 @@ class Sighting(NamedTuple):
 
     t: float  # s
     xyz: np.ndarray  # (3,) position, m
-    variance: np.ndarray  # (3,) of the position, m^2
+    variance: np.ndarray  # (3,) of the position, m^2; NaN where it is not known
     quaternion: np.ndarray  # (4,) orientation x, y, z, w
     turn_variance: float  # of the orientation, rad^2
 
 
 def blank_sighting(t: float) -> Sighting:
     """Return a sighting at `t` (s) without a measurement."""
-    return Sighting(t, np.full(3, np.nan), np.zeros(3), np.full(4, np.nan), 0.0)
+    return Sighting(t, np.full(3, np.nan), np.full(3, np.nan), np.full(4, np.nan), 0.0)
 
 
 def mean_at_rest(
