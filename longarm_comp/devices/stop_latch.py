@@ -67,6 +67,7 @@ class StopLatch:
         self.standing: dict[Stop, str] = {}
         self._disk, self._owing = futures.ThreadPoolExecutor(max_workers=1), False
         self._writing = futures.Future[None]()  # the last write
+        self._failed = ""  # why the write before it failed
         self._due_s = 0.0  # when the disk counts as hanging, monotonic s
         try:
             for stop in Stop:
@@ -97,11 +98,11 @@ class StopLatch:
     def trouble(self) -> str:
         """The reason why the stops would not outlast this process; empty if they would.
 
-        It is empty while `writing`.
+        While `writing`, it is that of the write before.
         """
         if self._writing.done():
             return str(self._writing.exception() or "")
-        return "" if self.writing else f"the disk of {self._folder} does not answer"
+        return self._failed if self.writing else f"the disk of {self._folder} does not answer"
 
     def ask(self, stop: Stop, why: str = "") -> None:
         """Put a stop in force; `keep` then writes it.
@@ -132,7 +133,7 @@ class StopLatch:
         if self._owing or (self.standing and self._writing.done()):
             anew, self._owing = self._owing or bool(self.trouble), False
             if self._writing.done():
-                self._due_s = time.monotonic() + _DISK_S
+                self._due_s, self._failed = time.monotonic() + _DISK_S, self.trouble
             self._writing = self._disk.submit(self._write_files, self.standing, anew)
         futures.wait([self._writing], _DISK_S if within_s is None else within_s)
 
@@ -262,6 +263,7 @@ def refuse_under_stop(folder: Path, ports: Collection[str], arm: Path | None = N
 def _make_files(files: Collection[Path]) -> None:
     for file in files:
         if not os.path.lexists(file):
+            file.parent.mkdir(parents=True, exist_ok=True)
             file.touch()
 
 

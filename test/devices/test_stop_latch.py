@@ -1,8 +1,10 @@
 """Files of stops: whose they are, damaged ones, and folders that cannot be read or written."""
 
+import os
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 
@@ -211,6 +213,23 @@ def test_a_folder_that_is_not_readable_or_writable_holds_the_arm(mode: int) -> N
         made.keep()
         assert not made.trouble and "ends with" not in made.words
         assert set(latch(Path(place)).standing) == {Stop.HOLD, Stop.ESTOP}
+
+
+def test_a_stop_that_could_not_be_kept_is_not_kept_while_it_is_written_again(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    folder, goes_on = tmp_path / "state", threading.Event()
+    folder.write_text("a file where the folder should be")
+    made = latch(tmp_path)
+    before = made.trouble
+    folder.unlink()
+    written = os.fsync
+    monkeypatch.setattr(os, "fsync", lambda file: goes_on.wait() and written(file))
+    made.keep(0.0)
+    assert made.writing and before and made.trouble == before and "ends with" in made.words
+    goes_on.set()
+    made.keep()
+    assert not made.trouble and list(latch(tmp_path).standing) == [Stop.HOLD]
 
 
 def test_a_reset_that_breaks_off_leaves_the_stop(tmp_path: Path) -> None:

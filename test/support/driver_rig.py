@@ -82,6 +82,10 @@ class Rig:
         assert self.process.wait(timeout=300) == 0
         self.stage.spin(lambda: not self.hears())
 
+    def keeps_a_fault(self) -> None:
+        """Wait until the fault that the driver told is kept: it is written beside the cycle."""
+        self.stage.spin(lambda: list(state_folder().glob("*.fault")))
+
     def dies(self) -> None:
         """Kill the driver."""
         self.dead |= self._listed()
