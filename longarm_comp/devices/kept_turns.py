@@ -32,6 +32,7 @@ class KeptTurns:
         self._file = folder / TURNS / f"{name}.txt"
         self._disk, self._writing = futures.ThreadPoolExecutor(1), futures.Future[None]()
         self._writing.set_result(None)
+        self._failed = ""  # why the write before the last failed
         self._kept: frozenset[str] | None = frozenset()  # in the file; None: not known
         try:
             self._kept = frozenset(self._file.read_text("utf-8").splitlines())
@@ -47,9 +48,10 @@ class KeptTurns:
         self.away = away
         if self._writing.done() and (away != self._kept or self.trouble):
             text = "".join(f"{name}\n" for name in sorted(away))
+            self._failed = self.trouble
             self._kept, self._writing = away, self._disk.submit(write_text, self._file, text)
 
     @property
     def trouble(self) -> str:
-        """The reason why the last write failed; empty if it did not, or is under way."""
-        return str((self._writing.done() and self._writing.exception()) or "")
+        """The reason why the last write that ended failed; empty if it did not."""
+        return str(self._writing.exception() or "") if self._writing.done() else self._failed

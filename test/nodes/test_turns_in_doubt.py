@@ -224,7 +224,7 @@ def test_an_arm_whose_turns_cannot_be_kept_is_held_and_it_is_said(
     driver.cycles(lambda: arm.follower.state is FollowerState.HOLDING)
     assert driver.on == {True}
     folder.unlink()
-    driver.cycles(lambda: stops.keep_turns(arm) or folder.is_dir())
+    driver.cycles(lambda: stops.keep_turns(arm) or not stops._turns.trouble)
     assert stops.standing and driver.ask(graph.RESET).success
     stops.keep_turns(arm)
     assert not stops.standing
