@@ -29,12 +29,11 @@ from longarm_comp.core.compensation.sighting import (
     error_of_sighting,
     is_other_payload,
 )
-from longarm_comp.core.compensation.unshown import structure_left
 from longarm_comp.core.data.plan import random_joints
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.posterior.found import CREDIBLE
-from longarm_comp.core.model.domain import RowDomain
+from longarm_comp.core.model.domain import RowDomain, least_moved
 from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.uncertainty import ModelUncertainty, factor_of
 
@@ -291,7 +290,7 @@ class Learner:
         likely = (space.most_probable(known.expected_values, *known.spread) for known in each)
         tips = [space.at(values).tip(q, there) for values in likely]
         off = np.array(tips[1:]) - tips[0]
-        left = structure_left(self.model, self.prior, q, there)
+        left = self.prior.structure_at(q, least_moved(arm))  # as `learn` takes it
         precision = np.linalg.inv(self.prior.noise + left)
         odds = 0.5 * np.einsum("rij,ijk,rik->ri", off, precision, off)
         which, best = np.unravel_index(int(odds.argmax()), odds.shape)

@@ -1,11 +1,18 @@
 """What functions may depend on, their shapes, and the poses that would tell more."""
 
+import dataclasses
+
 import numpy as np
 import pytest
+from demo_rows import session_of
 from discover_rows import DEMO, calibrated, measured
 from small_arm import ARM as SMALL
 
+from longarm_comp.core.arm.arm import Arm
+from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.discovered import Discovered
+from longarm_comp.core.effects.link_deflection import LinkDeflection
+from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Function, Legendre, Linear, Square, Switch
 from longarm_comp.core.identify.discover.bank import make_banks
 from longarm_comp.core.identify.discover.causes import (
@@ -17,7 +24,9 @@ from longarm_comp.core.identify.discover.inputs import (
     FunctionInput,
     FunctionInputs,
     count_levels,
+    read_arm_inputs,
 )
+from longarm_comp.core.model.model import Model
 
 
 def test_positions_near_each_other_are_two_and_those_that_sag_blurs_are_one() -> None:
@@ -81,3 +90,29 @@ def test_an_input_that_is_mostly_at_its_least_has_thresholds_too() -> None:
         levels = count_levels(values)
         thresholds = list_thresholds(FunctionInput("payload_kg", values, levels))
         assert len(thresholds) == tried and min(thresholds) > values.min()
+
+
+def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(
+    arm: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    session = session_of(arm, 2)
+    model = Model(arm, (LinkDeflection(),))
+    at = model.posture([session.q[:, k] for k in range(arm.n)], session.context())
+    held = read_arm_inputs(arm, at, session).by_name
+    spans = {n: a.high - a.low for n, a in held.items() if n.startswith("distance_")}
+    assert spans and min(spans.values()) >= Span.resolution
+    monkeypatch.setattr(Span, "resolution", 1.01 * max(spans.values()))
+    assert not any(n.startswith("distance_") for n in read_arm_inputs(arm, at, session).by_name)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
+def test_a_joint_that_stands_still_is_no_input(arm: Arm, share: float, told: bool) -> None:
+    """A run's label in disguise: where a joint came back to, to a few hundred thousandths."""
+    session = session_of(arm, 2)
+    q = session.q.copy()
+    q[:, 6] = arm.lower[6] + np.linspace(0.0, share * arm.telling[6], len(q))
+    at = Model(arm).posture([q[:, k] for k in range(arm.n)], session.context())
+    held = read_arm_inputs(arm, at, session).by_name
+    assert ("q7" in held) == told and ("side_7" in held) <= told
+    said = [f.field for f in admit(dataclasses.replace(session, q=q), arm).findings]
+    assert ("q7" in said) != told

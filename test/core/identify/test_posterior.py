@@ -12,14 +12,11 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.calibration.candidates import list_candidates
 from longarm_comp.core.calibration.linear import choose_sizes
-from longarm_comp.core.data.admission import admit
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.fields import ALIKE
 from longarm_comp.core.effects.link_deflection import LinkDeflection
-from longarm_comp.core.effects.quantities import Span
 from longarm_comp.core.effects.shapes import Cosine, FunctionError
-from longarm_comp.core.identify.discover.inputs import read_arm_inputs
 from longarm_comp.core.identify.posterior.ascent import find_explanation
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
@@ -376,29 +373,3 @@ def test_a_wave_is_bounded_by_its_phase_over_the_data() -> None:
     Cosine("distance_1_3", 0.40, 0.43, 2500.0).check()
     with pytest.raises(FunctionError, match="over the range of distance_1_3"):
         Cosine("distance_1_3", 0.0, 1.0, 2500.0).check()
-
-
-def test_a_distance_that_varies_less_than_its_tolerance_is_no_input(
-    arm: Arm, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    session = session_of(arm, 2)
-    model = Model(arm, (LinkDeflection(),))
-    at = model.posture([session.q[:, k] for k in range(arm.n)], session.context())
-    held = read_arm_inputs(arm, at, session).by_name
-    spans = {n: a.high - a.low for n, a in held.items() if n.startswith("distance_")}
-    assert spans and min(spans.values()) >= Span.resolution
-    monkeypatch.setattr(Span, "resolution", 1.01 * max(spans.values()))
-    assert not any(n.startswith("distance_") for n in read_arm_inputs(arm, at, session).by_name)
-
-
-@pytest.mark.parametrize(("share", "told"), [(0.9, False), (1.1, True)])
-def test_a_joint_that_stands_still_is_no_input(arm: Arm, share: float, told: bool) -> None:
-    """A run's label in disguise: where a joint came back to, to a few hundred thousandths."""
-    session = session_of(arm, 2)
-    q = session.q.copy()
-    q[:, 6] = arm.lower[6] + np.linspace(0.0, share * arm.telling[6], len(q))
-    at = Model(arm).posture([q[:, k] for k in range(arm.n)], session.context())
-    held = read_arm_inputs(arm, at, session).by_name
-    assert ("q7" in held) == told and ("side_7" in held) <= told
-    said = [f.field for f in admit(dataclasses.replace(session, q=q), arm).findings]
-    assert ("q7" in said) != told
