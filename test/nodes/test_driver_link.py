@@ -163,7 +163,7 @@ def told_after(
     ask = request(target, arm, execute=True)
     stage.spin(lambda: stage.call(client, ask).success)
     withdraw, poses = graph.WITHDRAWN.publisher(stage.node), graph.TARGET_POSE.publisher(stage.node)
-    stage.connected(withdraw)
+    stage.connected(withdraw, String(data="nothing"))
     stage.connected(poses)
     reach = stage.action(Reach, graph.REACH.name)
     stage.matched(poses, pose(target), stories)
@@ -209,7 +209,7 @@ def test_a_target_is_not_sent_if_a_stop_or_a_withdrawal_came_while_it_was_comput
     driver.state, driver.answers = DriverState.READY, True
     client, happens = graph.compensate_by("both").client(stage.node), list[Callable[[], object]]()
     withdraw = graph.WITHDRAWN.publisher(stage.node)
-    stage.connected(withdraw)
+    stage.connected(withdraw, String(data="nothing"))
 
     def predict(asked: Any, answer: PredictError.Response) -> PredictError.Response:
         while happens:
@@ -253,17 +253,19 @@ def test_what_is_withdrawn_while_the_driver_takes_it_is_broken_off(
         request(declared_model(arm).pose(arm.mid), arm, execute=True),
     )
     stage.spin(lambda: stage.call(client, ask).success)
-    withdraw, withdrawn = graph.WITHDRAWN.publisher(stage.node), stage.collect(graph.WITHDRAWN)
-    stage.connected(withdraw)
+    withdraw = graph.WITHDRAWN.publisher(stage.node)
+    stage.connected(withdraw, String(data="nothing"))
+    stage.spin(lambda: driver.withdrawn[-1:] == ["nothing"])
+    driver.withdrawn.clear()
     driver.answers = False
     driver.got.clear()
     client.call_async(ask)
     stage.spin(lambda: driver.got)
     withdraw.publish(String())
-    stage.spin(lambda: withdrawn)
+    stage.spin(lambda: driver.withdrawn)
     driver.tell(Motion.ACCEPTED, order_id(driver.got[-1]), driver.got[-1])
-    stage.spin(lambda: len(withdrawn) == 2)
-    assert [message.data for message in withdrawn] == ["", order_id(driver.got[-1])]
+    stage.spin(lambda: len(driver.withdrawn) == 2)
+    assert driver.withdrawn == ["", order_id(driver.got[-1])]
     driver.answers = True
 
 

@@ -83,8 +83,12 @@ class Rig:
         self.stage.spin(lambda: not self.hears())
 
     def keeps_a_fault(self) -> None:
-        """Wait until the fault that the driver told is kept: it is written beside the cycle."""
-        self.stage.spin(lambda: list(state_folder().glob("*.fault")))
+        """Wait until the fault that the driver told is kept, with its words: they come later."""
+
+        def texts() -> list[str]:
+            return [file.read_text() for file in state_folder().glob("*.fault")]
+
+        self.stage.spin(lambda: texts() and all(texts()))
 
     def dies(self) -> None:
         """Kill the driver."""

@@ -18,6 +18,7 @@ from forked import ForkedProgram
 from places import ROOT
 from rclpy.action import ActionClient
 from rclpy.action.client import ClientGoalHandle
+from rclpy.duration import Duration
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -105,9 +106,18 @@ class Bench:
             self.executor.spin_once(timeout_sec=0.02)
         return found
 
-    def connected(self, publisher: Any) -> None:
-        """Wait until somebody listens."""
-        self.spin(lambda: publisher.get_subscription_count() > 0)
+    def connected(self, publisher: Any, first: Any = None) -> None:
+        """Wait until all who are there listen; with a first message, until all have it.
+
+        Who has not matched the publisher yet gets what is sent later than what others send.
+        """
+        listeners = self.node.count_subscribers
+        self.spin(
+            lambda: publisher.get_subscription_count() >= max(1, listeners(publisher.topic_name))
+        )
+        if first is not None:
+            publisher.publish(first)
+            self.spin(lambda: publisher.wait_for_all_acked(Duration(seconds=0.0)))
 
     def matched(self, publisher: Any, target: Any, stories: Sequence[Any]) -> None:
         """Publish a target until kinematics tells of it; no other one is on its way then.

@@ -18,7 +18,10 @@ from longarm_interfaces.msg import DriverState, Motion
 
 
 class Driver:
-    """Tells a state twice a second and answers trajectories as it is set to."""
+    """Tells a state twice a second and answers trajectories as it is set to.
+
+    It hears what is withdrawn, too: one made later may miss the first message of others.
+    """
 
     def __init__(self, stage: Bench, arm: Arm) -> None:
         self.stage, self.arm = stage, arm
@@ -27,10 +30,12 @@ class Driver:
         self.instances: tuple[str, ...] = ()
         self.answers = True
         self.got: list[JointTrajectory] = []
+        self.withdrawn: list[str] = []
         self._states = graph.DRIVER_STATE.publisher(stage.node)
         self._motions = graph.MOTION.publisher(stage.node)
         self._joints = graph.JOINT_STATES.publisher(stage.node)
         graph.JOINT_TRAJECTORY.subscription(stage.node, self._on_trajectory)
+        graph.WITHDRAWN.subscription(stage.node, lambda told: self.withdrawn.append(told.data))
         stage.node.create_timer(0.2, self.beat)
 
     def says(self, state: int) -> None:
