@@ -92,7 +92,7 @@ class FeetechWire(RegisterWire):
             if device.get(_At.MODE, 1) == _STEPS:
                 motor.goal = motor.position + goal
             elif device.get(_At.MODE, 1) == 0:
-                motor.goal = goal + _offset(device)
+                motor.goal = goal + _offset(device) + motor.reading - _seen_ticks(device)
         return 0
 
 
@@ -100,16 +100,20 @@ def _refresh_memory(device: Device) -> None:
     """Bring the read-only part of the memory up to date."""
     motor = device.motor
     device.put(_At.TORQUE, 1, int(motor.torque_on))
-    ticks = motor.reading
-    if device.get(_At.MAX_ANGLE, 2):
-        ticks %= motor.spec.ticks_per_turn  # in ordinary mode the encoder knows one turn only
-    device.put(_At.POSITION, 2, _sign_magnitude(ticks - _offset(device), 15))
+    device.put(_At.POSITION, 2, _sign_magnitude(_seen_ticks(device) - _offset(device), 15))
     device.put(_At.SPEED, 2, _sign_magnitude(round(motor.velocity), 15))
     device.put(_At.LOAD, 2, _sign_magnitude(round(motor.effort * motor.spec.load_units), 10))
     device.put(_At.VOLTS, 1, round(motor.voltage_v * 10))
     device.put(_At.TEMPERATURE, 1, round(motor.temperature_c))
     device.put(_At.STATUS, 1, _status_bits(motor))
     device.put(_At.MOVING, 1, int(motor.moving))
+
+
+def _seen_ticks(device: Device) -> int:
+    """Return the ticks that the encoder knows: in ordinary mode those within its turn."""
+    many = not device.get(_At.MAX_ANGLE, 2)
+    motor = device.motor
+    return motor.reading if many else motor.reading % motor.spec.ticks_per_turn
 
 
 def _status_bits(motor: Motor) -> int:
