@@ -169,9 +169,11 @@ def test_offset_and_modes_of_a_feetech(feetech) -> None:
     assert servo.ReadPos(1)[0] == 2548
     servo.WritePosEx(1, 2600, 0, 0)
     assert wait_until(lambda: abs(emulator.positions()[1] - 2100) < 0.5)
+    servo.write1ByteTxRx(1, 40, 0)
     emulator.push(1, 2100 + 2 * 4096)
     servo.WritePosEx(1, servo.ReadPos(1)[0] + 100, 0, 0)  # within the turn in which it stands
     assert wait_until(lambda: abs(emulator.positions()[1] - 2200 - 2 * 4096) < 0.5)
+    servo.write1ByteTxRx(1, 40, 0)
     emulator.push(1, 2100)
     device.put(33, 1, 3)
     servo.WritePosEx(1, 100, 0, 0)
