@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 from builtin_interfaces.msg import Time
@@ -116,12 +117,16 @@ class ArmState:
         Raises:
             StaleContext: a circumstance that the model needs is unknown or too old.
         """
-        return self.readings.context(
-            model or self.files.loaded.model,
-            time.monotonic(),
-            self.p["context_max_age_s"],
-            self.driver.history if history is None else history,
-        )
+        told = self.circumstances(model or self.files.loaded.model)
+        return told(self.driver.history if history is None else history)
+
+    def circumstances(self, model: Model) -> Callable[[History | None], Context]:
+        """Return the `context` of a model by history, from the readings and the time of this call.
+
+        Whatever is published later does not change it, so one move is computed for one state.
+        """
+        age_s = self.p["context_max_age_s"]
+        return partial(self.readings.context, model, time.monotonic(), age_s)
 
     def known_context(self, history: History | None = None) -> Context | None:
         """Return the present circumstances as `context` does; None while one is unknown or old."""

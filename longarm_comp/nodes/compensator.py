@@ -1,6 +1,5 @@
 """Computes the answer to one target, and compiles in advance what the next target needs."""
 
-import time
 from collections.abc import Hashable
 from dataclasses import replace
 from functools import partial
@@ -116,12 +115,7 @@ class Compensator:
             seed=seed,
             history=self._state.driver.history,
             position_only=target.position_only,
-            context_after=partial(
-                self._state.readings.context,
-                physics_of(loaded.model, options.method),
-                time.monotonic(),
-                self._state.p["context_max_age_s"],
-            ),
+            context_after=self._state.circumstances(physics_of(loaded.model, options.method)),
             options=options,
         )
         arrival, used, why = self._state.predictor.compensate_with(options.method, compensate)

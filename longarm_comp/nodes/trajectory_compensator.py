@@ -286,7 +286,7 @@ class _TrajectoryCompensator(ArmNode):
                 start=start,
                 history=history,
                 limits=replace(self._limits, max_longer=self._longest_share(request)),
-                context_at=partial(self._state.context, model=physics),
+                context_at=self._state.circumstances(physics),
                 options=CompensationOptions(
                     self._method, max_correction_m=self.p["max_correction_m"] or None
                 ),

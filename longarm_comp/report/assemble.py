@@ -4,7 +4,6 @@ from collections import Counter
 
 import numpy as np
 
-from longarm_comp.core.calibration.plausible import mark_believed_rows
 from longarm_comp.core.data.commanded import not_commanded
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.diagnosis import Diagnosis
@@ -141,12 +140,12 @@ def _held_out(diagnosis: Diagnosis) -> record.HeldOut:
 
 
 def _believed_errors(diagnosis: Diagnosis) -> tuple[float, float] | None:
-    proof = diagnosis.proof
-    kept = mark_believed_rows(diagnosis.fit, diagnosis.held_out.take(proof.rows_at))
-    if not kept.any():
+    kept = diagnosis.believed
+    if not len(kept):
         return None
+    commanded = diagnosis.proof.commanded
     names = "nominal", diagnosis.written
-    before, after = (np.linalg.norm(proof.commanded[name][kept], axis=1) for name in names)
+    before, after = (np.linalg.norm(commanded[name][kept], axis=1) for name in names)
     return 1e3 * float(before.mean()), 1e3 * float(after.mean())
 
 

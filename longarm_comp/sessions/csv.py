@@ -14,7 +14,7 @@ import yaml
 
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import INCLINATION
-from longarm_comp.core.arm.history import SAME_POSE
+from longarm_comp.core.arm.history import list_wrong_run_ups
 from longarm_comp.core.arm.measuring import KnownDistance, Touches, known_distances
 from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import Session
@@ -153,7 +153,7 @@ def write_csv(session: Session, path: str | Path) -> None:
     joints = joint_names(session.n)
     columns: dict[str, Sequence[object] | np.ndarray] = {"index": session.index}
     columns.update({name: session.columns[name] for name in UNITS if name in session.columns})
-    columns.update(make_approach_columns(session.told))
+    columns.update(make_approach_columns(session.sides))
     if not np.isnan(session.run_up).all():
         columns.update({f"run_up_{name}": session.run_up[:, j] for j, name in enumerate(joints)})
     columns.update({name: session.q[:, j] for j, name in enumerate(joints)})
@@ -241,11 +241,8 @@ def _read_run_up(table: Table, q: np.ndarray, sides: np.ndarray) -> np.ndarray |
     if not table.has(names):
         return None
     begun = table.block(names, "rad or m", True)
-    each = np.broadcast_to(sides if sides.ndim == 2 else sides[:, None], q.shape)
-    wrong = ((q - begun) * each < SAME_POSE) & (each != 0) & ~np.isnan(begun)
-    for row, joint in np.argwhere(wrong):
-        side = "below" if each[row, joint] > 0 else "above"
-        raise table.error(row, names[joint], f"a place {side} q{joint + 1}, as approach says")
+    for row, joint, allowed in list_wrong_run_ups(q, sides, begun):
+        raise table.error(row, names[joint], allowed)
     return begun
 
 

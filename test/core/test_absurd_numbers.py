@@ -18,6 +18,7 @@ from longarm_comp.core.data.admission import admit
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.learn.predictor_file import load
+from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model
 from longarm_comp.sessions.csv import write_csv
 
@@ -110,3 +111,19 @@ def test_rows_that_are_no_numbers(field: str, value: Any, said: str) -> None:
     with pytest.raises(InputError) as refused:
         Session.record(source="s.csv", **rows)
     assert str(refused.value).startswith(f"s.csv: {field}: ") and said in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["tip", "pose", "measured"])
+def test_the_tip_at_another_number_of_joints_is_refused(name: str) -> None:
+    arm = Arm.parse(arm_data(), "arm.yaml")
+    predict = getattr(Model(arm), name)
+    for q in (0.1, np.zeros(arm.n + 1), np.zeros((3, arm.n - 1))):
+        with pytest.raises(InputError, match=f"joint values.*allowed: {arm.n}: ") as found:
+            predict(q)
+        assert found.value.field == "q"
+
+
+def test_the_tip_of_a_command_that_failed_is_not_known_and_no_rows_have_no_tip() -> None:
+    model = declared_model(Arm.parse(arm_data(), "arm.yaml"))
+    assert np.isnan(model.tip(np.full(model.arm.n, np.nan))).all()
+    assert model.tip(np.zeros((0, model.arm.n))).shape == (0, 3)

@@ -151,7 +151,10 @@ def test_a_session_is_its_first_rows_followed_by_the_others(rng: np.random.Gener
     q = ARM.mid + runs * rng.uniform(-1, 1, (n, ARM.n))
     told = rng.choice(np.array([-1, 0, 1]), (n, ARM.n))
     told[4] = 1  # the first of the others came from no row of the session
+    told[[0, 3], 0], told[[1, 4], 0] = 1, 0
+    q[[1, 4], 0] = q[[0, 3], 0]  # it stands, and keeps its side
     begun = (told != 0) & (rng.random((n, ARM.n)) < 0.5)
+    begun[[0, 3], 0] = False
     run_up = np.where(begun, q - told * runs, np.nan)
     whole = Session.record(
         q,
@@ -174,12 +177,37 @@ def test_a_session_is_its_first_rows_followed_by_the_others(rng: np.random.Gener
     bare = Session.record(q[:2], np.full((2, 3), np.nan))
     joined = bare.followed_by(replace(parts[1], columns={}))
     assert joined.index.tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_array_equal(joined.approach[2:], parts[1].approach)
+    later = whole.take(slice(1, 4))
+    assert later.approach[0, 0] == 1
+    np.testing.assert_array_equal(later.followed_by(parts[1]).approach, whole.approach[1:])
     assert joined.labels["role"].tolist() == ["", "", "", "test", ""]
     assert joined.sigma is not None and np.isnan(joined.sigma[:2]).all()
     np.testing.assert_array_equal(joined.sigma[2:], parts[1].sigma)
     assert np.isnan(joined.sigmas["orientation"]).tolist() == [True] * 2 + [False] * 3
     with pytest.raises(InputError, match="payload_kg"):
         bare.followed_by(parts[1])
+
+
+@pytest.mark.parametrize(("side", "begun"), [(1, 0.1), (-1, -0.1), (1, 0.0)])
+def test_a_run_up_from_the_other_side_than_the_recorded_one_is_refused(
+    side: int, begun: float
+) -> None:
+    q, xyz = np.tile(ARM.mid, (2, 1)), np.zeros((2, 3))
+    run_up = np.full(q.shape, np.nan)
+    run_up[1, 2] = ARM.mid[2] + begun
+    with pytest.raises(InputError, match="row 2, run_up of q3"):
+        Session.record(q, xyz, approach=np.full(2, side), run_up=run_up)
+    if begun:
+        assert Session.record(q, xyz, approach=np.full(2, -side), run_up=run_up).told[1, 1] == -side
+
+
+def test_a_joint_that_stands_keeps_its_side_without_the_row_that_brought_it(tmp_path: Path) -> None:
+    session = Session.record(
+        np.tile(ARM.mid, (3, 1)), np.zeros((3, 3)), approach=np.array([1, 0, 0])
+    )
+    write_csv(session.take([0, 2]), tmp_path / "s.csv")
+    assert (read_csv(tmp_path / "s.csv", ARM).approach == 1).all()
 
 
 def test_bom_blank_lines_and_spaces_do_no_harm(tmp_path: Path) -> None:
@@ -197,8 +225,11 @@ def test_round_trip_is_exact(seed: int, rows: int, tmp_path: Path) -> None:
     base = measured(rows, rng)
     xyz = base.xyz.copy()
     xyz[rng.random(rows) < 0.2] = np.nan
+    q = base.q.copy()
+    for k, joint in np.argwhere(rng.random(q[1:].shape) < 0.2):
+        q[k + 1, joint] = q[k, joint]  # it stands, and keeps its side
     session = Session.record(
-        base.q,
+        q,
         xyz,
         index=np.cumsum(rng.integers(1, 3, rows)),
         approach=rng.integers(-1, 2, rows if seed % 2 else (rows, 4)),

@@ -10,7 +10,7 @@ way-point).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -247,8 +247,22 @@ def read_sides(q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray) -
 
     The arguments are those of `recorded_history`.
     """
-    if approach is None:
-        return np.zeros(q.shape)
-    marks = np.sign(np.nan_to_num(np.asarray(approach, dtype=float)))
-    each = np.broadcast_to(marks if marks.ndim == 2 else marks[:, None], q.shape)
-    return np.where(np.isnan(run_up), each, 0.0)
+    return np.where(np.isnan(run_up), _each_side(q, approach), 0.0)
+
+
+def list_wrong_run_ups(
+    q: np.ndarray, approach: np.ndarray | None, run_up: np.ndarray
+) -> Iterator[tuple[int, int, str]]:
+    """Yield row, joint and what is allowed for each run-up that denies the recorded side.
+
+    The arguments are those of `recorded_history`.
+    """
+    sides = _each_side(q, approach)
+    for row, joint in np.argwhere((sides != 0) & ((q - run_up) * sides < SAME_POSE)).tolist():
+        side = "below" if sides[row, joint] > 0 else "above"
+        yield row, joint, f"a place {side} q{joint + 1}, as approach says"
+
+
+def _each_side(q: np.ndarray, approach: np.ndarray | None) -> np.ndarray:
+    marks = np.sign(np.nan_to_num(np.asarray(0.0 if approach is None else approach, dtype=float)))
+    return np.broadcast_to(marks[:, None] if marks.ndim == 1 else marks, q.shape)

@@ -137,7 +137,7 @@ IDENTITY = Frame((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), ZERO)
 def _exact_cos_sin(angle: float) -> tuple[float, float]:
     """Compute cos and sin of an angle (rad), exactly 0 or +-1 at multiples of a right angle."""
     quarter = angle / (math.pi / 2)
-    if abs(quarter - round(quarter)) < 1e-14:
+    if abs(math.remainder(quarter, 1.0)) < 1e-14:
         return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[round(quarter) % 4]
     return math.cos(angle), math.sin(angle)
 

@@ -44,14 +44,14 @@ def stack_all(items: Sequence[tuple[Scalar, ...]]) -> tuple[Scalar, ...]:
 
 def parts(keys: Collection[Any], size: int) -> Iterator[list[Any]]:
     """Split keys of items into lists whose stacked arrays, each of `size`, fit into the cache."""
-    each, count = list(keys), max(1, 32768 // size)
+    each, count = list(keys), max(1, 32768 // max(size, 1))
     return (each[n : n + count] for n in range(0, len(each), count))
 
 
 def take_apart(scalars: tuple[Scalar, ...], count: int) -> Iterator[tuple[Scalar, ...]]:
     """Yield the scalars of each of the `count` items of a group that `stack_alike` yields."""
     columns = [
-        (list(x) if x.shape[1] > 1 else x[:, 0].tolist())
+        (list(x) if x.shape[1] != 1 else x[:, 0].tolist())
         if type(x) is np.ndarray and x.ndim == 2
         else [x] * count
         for x in scalars

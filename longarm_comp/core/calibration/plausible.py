@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.special import chdtr
+from scipy.special import chdtr, stdtrit
 
 from longarm_comp.core.calibration.linear import BEFOREHAND
 from longarm_comp.core.calibration.model_fit import ModelFit
@@ -134,20 +134,26 @@ def describe_rise(before: np.ndarray, held_out: np.ndarray, most: float, *shares
         shares: fractions of the rows, the worst ones, whose mean is limited by this factor too.
 
     Returns:
-        Both means in thousandths, in words; empty if no mean is larger by more than the factor, or
-        too few rows are held out.
+        Both means in thousandths, in words; empty if no mean is larger by more than the factor. Of
+        fewer rows than `ENOUGH_REPEATS` only all are compared, and must be beyond their scatter
+        (Student's t, 95 %): a single row proves nothing.
     """
     lengths = [np.sort(np.linalg.norm(each, axis=1)) for each in (before, held_out)]
     if len(held_out) < ENOUGH_REPEATS:
-        return ""
+        if min(len(before), len(held_out)) < 2:
+            return ""
+        here, there = (each.std(ddof=1) / math.sqrt(len(each)) for each in lengths)
+        doubt, shares = stdtrit(len(held_out) - 1, 0.975) * math.hypot(most * here, there), ()
+    else:
+        doubt = 0.0
     for share in (1.0, *shares):
         here, there = (
-            1e3 * float(length[-math.ceil(share * len(length)) :].mean()) if len(length) else 0.0
+            float(length[-math.ceil(share * len(length)) :].mean()) if len(length) else 0.0
             for length in lengths
         )
-        if there > most * here:
+        if there > most * here + doubt:
             of = "mean" if share == 1.0 else f"mean of the worst {share:.0%}"
-            return f"{of} {here:.3g} -> {there:.3g}"
+            return f"{of} {1e3 * here:.3g} -> {1e3 * there:.3g}"
     return ""
 
 

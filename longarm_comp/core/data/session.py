@@ -21,6 +21,7 @@ from longarm_comp.core.arm.history import (
     SAME_POSE,
     History,
     first_of_stand,
+    list_wrong_run_ups,
     read_sides,
     recorded_history,
     straight_ways,
@@ -141,6 +142,10 @@ class Session(MeasuredRows):
             run_up: (N, n) where each joint's last approach began, rad and m; NaN where there was
                 none or this is not known.
             further: other attributes of a session; those that are None are ignored.
+
+        Raises:
+            InputError: an array has another shape or kind, or a run-up began on the other side than
+                the recorded one.
         """
         q = _joints(source, q)
         index = np.arange(len(q)) if index is None else index
@@ -153,6 +158,9 @@ class Session(MeasuredRows):
             if approach.shape not in (q.shape, q.shape[:1]):
                 allowed = f"shape {q.shape[:1]} or {q.shape}"
                 raise InputError(source, "approach", f"shape {approach.shape}", allowed)
+        for row, joint, allowed in list_wrong_run_ups(q, approach, begun):
+            field = f"row {row + 1}, run_up of q{joint + 1}"
+            raise InputError(source, field, begun[row, joint], allowed)
         history = recorded_history(q, index, approach, begun)
         return cls(
             *(index, q, xyz, history.approach, repeat_id),
@@ -219,6 +227,11 @@ class Session(MeasuredRows):
         came_straight = np.abs(way - np.where(known, straight, 0.0)) < SAME_POSE
         again = first_of_stand(self.q, self.index) < np.arange(len(self))
         return np.where(came_straight | again[:, None] | (self.told != 0), np.nan, self.q - way)
+
+    @cached_property
+    def sides(self) -> np.ndarray:
+        """(N, n) sides of arrival to record: those in `told`; after a gap, all that are known."""
+        return np.where(np.isnan(straight_ways(self.q, self.index)), self.approach, self.told)
 
     @cached_property
     def arrivals(self) -> tuple[tuple[int, int], ...]:
@@ -328,7 +341,7 @@ class Session(MeasuredRows):
             both[name] = np.concatenate([getattr(self, name), getattr(more, name)])
         return Session.record(
             index=np.concatenate([self.index, self.index[-1] + 1 + np.arange(len(more))]),
-            approach=np.concatenate([self.told, more.told]),
+            approach=np.concatenate([self.sides, more.sides]),
             source=self.source,
             touch_distances=tuple(dict.fromkeys((*self.touch_distances, *more.touch_distances))),
             begun_s=self.begun_s,

@@ -10,6 +10,7 @@ import numpy as np
 from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.arm.context import CLOCK
 from longarm_comp.core.calibration.model_fit import ModelFit
+from longarm_comp.core.calibration.plausible import mark_believed_rows
 from longarm_comp.core.compensation.unshown import describe_unshown
 from longarm_comp.core.data.commanded import in_frame_of_start
 from longarm_comp.core.data.measurement import compute_posture
@@ -168,17 +169,31 @@ class Diagnosis(ProvedModels):
             return CALIBRATED, NETWORK
         return ("nominal", CALIBRATED) if self.written == CALIBRATED else (CALIBRATED, self.written)
 
+    @cached_property
+    def believed(self) -> np.ndarray:
+        """(M,) True at the rows of the proof that were not set aside; at all, if all were."""
+        kept = mark_believed_rows(self.fit, self.held_out.take(self.proof.rows_at))
+        return kept if kept.any() else ~kept
+
     @property
     def seen_gain(self) -> Gain:
         """The gain between the two `compared_stages`, in errors as seen."""
-        before, after = (self.proof.errors[stage] for stage in self.compared_stages)
-        return Gain.of(before, after, self.proof.fold)
+        return self._gain(self.proof.errors, slice(None))
 
     @property
     def commanded_gain(self) -> Gain:
         """The gain between the two `compared_stages`, in errors as a command would have them."""
-        before, after = (self.proof.commanded[stage] for stage in self.compared_stages)
-        return Gain.of(before, after, self.proof.fold)
+        return self._gain(self.proof.commanded, slice(None))
+
+    @property
+    def believed_gains(self) -> tuple[Gain, Gain]:
+        """The gains as seen and as commanded at the `believed` rows."""
+        errors = self.proof.errors, self.proof.commanded
+        return self._gain(errors[0], self.believed), self._gain(errors[1], self.believed)
+
+    def _gain(self, errors: Mapping[str, np.ndarray], rows: np.ndarray | slice) -> Gain:
+        before, after = (errors[stage][rows] for stage in self.compared_stages)
+        return Gain.of(before, after, self.proof.fold[rows])
 
     @property
     def summary(self) -> str:
@@ -199,8 +214,9 @@ def _describe_findings(found: Diagnosis) -> str:
     before, after = (found.proof.rows[stage] for stage in found.compared_stages)
     change = f"{before.mean_text} -> {after.mean_text}"
     if before.n:  # else only orientations were measured
-        change = describe_improvement(found.seen_gain, found.commanded_gain)
-    gain = f"Held-out mean error {change}"
+        change = describe_improvement(*found.believed_gains)
+    which = "" if found.believed.all() else " (without the rows set aside)"
+    gain = f"Held-out mean error{which} {change}"
     if found.verdict == "noise":
         rows, aside = len(found.fit.session), len(found.set_aside.rows)
         noise = "only noise is left" + (f" in {rows - aside} of {rows} rows" if aside else "")

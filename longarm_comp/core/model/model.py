@@ -22,6 +22,7 @@ from longarm_comp.core.arm.context import Context
 from longarm_comp.core.arm.posture import PLACEMENT, Chain, Posture, Twists
 from longarm_comp.core.arm.spatial import Frame, Scalar, Vec
 from longarm_comp.core.effects.effect import Bias, Effect
+from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.slots import Slot as Slot  # importers find both here
 from longarm_comp.core.model.slots import slots_of as slots_of
 from longarm_comp.core.model.tip_motion import Reseen, TipMotion, TwistChange, move_tip, stack
@@ -177,7 +178,13 @@ class Model:
         return self if len(kept) == len(self.terms) else self.with_terms(kept)
 
     def posture(self, q: Sequence[Scalar], context: Context | None = None) -> Posture:
-        """Return the loaded, deflected arm at q (n scalars, each a float or (N,))."""
+        """Return the loaded, deflected arm at q (n scalars, each a float or (N,)).
+
+        Raises InputError for another number of joints.
+        """
+        if len(q) != self.arm.n:
+            allowed = f"{self.arm.n}: {', '.join(self.arm.joint_names)}"
+            raise InputError(f"model of {self.arm.name}", "q", f"{len(q)} joint values", allowed)
         context = context or Context()
         return self._pass_loads(self.posture_without_sag(q, context), self.load_passes)
 
@@ -386,5 +393,5 @@ class Model:
 
 def unstack(q: np.ndarray) -> tuple[Scalar, ...]:
     """Split (n,) into n floats, (N, n) into n arrays of (N,)."""
-    joints = np.moveaxis(np.asarray(q, dtype=float), -1, 0)
+    joints = np.moveaxis(np.atleast_1d(np.asarray(q, dtype=float)), -1, 0)
     return tuple(np.ascontiguousarray(v) if v.ndim else float(v) for v in joints)

@@ -299,7 +299,14 @@ def test_gates() -> None:
     assert not describe_rise(error, 3.5 * error, RISES)
     assert re.fullmatch(r"mean 1\.\d+ -> 2\.\d+", describe_rise(error, 1.6 * error, WORSE, WORST))
     assert describe_rise(error, 4.5 * error, RISES)
-    assert not describe_rise(error[:5], 9 * error[:5], WORSE, WORST)  # too few to tell
+    few = error[:5]
+    assert describe_rise(few, 9 * few, WORSE, WORST).startswith("mean ")
+    assert not describe_rise(few, 5 * few, WORSE, WORST)  # too few to tell
+    assert describe_rise(error[:10], 3 * error[:10], WORSE, WORST)
+    assert not describe_rise(error[:10], 2 * error[:10], WORSE, WORST)
+    assert not describe_rise(few, 15 * few, RISES) and describe_rise(few, 17 * few, RISES)
+    for one, other in ((few, few[:1]), (few[:1], few)):
+        assert not describe_rise(one, 99 * other, WORSE, WORST)
     rows = Session.record(np.zeros((40, 1)), 1e3 * error)
     plausible.check_noise(np.full(3, 0.02), rows)
     with pytest.raises(JobError, match="more than noise"):

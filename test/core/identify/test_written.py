@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from longarm_comp.core.effects.drive_errors import PrismaticPitch
 from longarm_comp.core.effects.slow_changes import BaseSettling, ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnose as core
+from longarm_comp.core.identify import diagnosis
 from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
 from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
 from longarm_comp.core.identify.proved_models import choose_written
@@ -115,6 +117,17 @@ def test_gross_errors_do_not_hide_what_a_calibration_gains() -> None:
     assert after > 0.9 * before  # by the means of all rows nothing is gained
     assert report.written.believed_mm[1] < 0.2 * report.written.believed_mm[0]
     assert not report.nothing_gained
+    said = "{:.2f} -> {:.2f} mm".format(*report.written.believed_mm)
+    assert f"Held-out mean error (without the rows set aside) {said}" in report.summary
+
+
+def test_rows_that_are_all_set_aside_all_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    some: Any = SimpleNamespace(
+        fit=None, held_out=session(n=9), proof=SimpleNamespace(rows_at=np.arange(9))
+    )
+    for kept, counts in ((np.arange(9) == 4, 1), (np.zeros(9, dtype=bool), 9)):
+        monkeypatch.setattr(diagnosis, "mark_believed_rows", lambda fit, rows, kept=kept: kept)
+        assert diagnosis.Diagnosis.believed.func(some).sum() == counts
 
 
 def test_a_thermal_term_balanced_by_the_measuring_side_is_not_written() -> None:
