@@ -77,7 +77,7 @@ def _changes_of(found: FoundEffect, every: Sequence[FoundEffect]) -> Iterator[_C
     yield _Change(1.0 - found.presence, own)
     odds = [math.exp(value) for _, value in found.otherwise]
     for (candidate, _), each in zip(found.otherwise, odds, strict=True):
-        share = found.presence * found.chance * each / (1.0 + sum(odds))
+        share = found.presence * found.cause.probability * each / (1.0 + sum(odds))
         yield _Change(share, own, candidate.terms)
     for rival in found.rivals:
         same = () if rival.unnamed else [f for f in every if f.name == rival.name]

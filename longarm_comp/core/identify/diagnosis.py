@@ -89,7 +89,7 @@ class Diagnosis(ProvedModels):
         fitted = self.fits[self.written]
         seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
         drifts = (f for f in seen if any(CLOCK in t.inputs for t in f.terms))
-        if not all(f.presence * f.chance_seen >= CREDIBLE for f in drifts):
+        if not all(f.presence * f.chance_bias >= CREDIBLE for f in drifts):
             return fitted
         model = in_frame_of_start(fitted.model, fitted.session)
         if model is fitted.model:

@@ -19,7 +19,7 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.gains import Gain, compute_gains, measure_tip_shift
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, PossibleCause
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.yaml_file import Closed
 
@@ -152,7 +152,7 @@ class Finding(ReportPart):
         return _weigh_names(self.parts)
 
     @property
-    def alternatives(self) -> tuple[Rival, ...]:
+    def alternatives(self) -> tuple[PossibleCause, ...]:
         """The other names of the credible set, the most probable first."""
         return tuple(r for r in _list_rivals(self.parts) if r.name in self.names)
 
@@ -217,14 +217,14 @@ def _weigh_names(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(chances.items(), key=lambda c: -c[1]))
 
 
-def _list_rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
+def _list_rivals(parts: Sequence[FoundEffect]) -> list[PossibleCause]:
     """Return the rivals of all parts, one per name, the most probable first.
 
     Its terms are those in the place of every part that has it, because poses that decide between
     two names must decide at all places.  So its evidence lacks what it loses at all these places.
     """
     size, chances = sum(f.log_bayes_factor for f in parts), dict(_weigh_names(parts))
-    rivals: dict[str, Rival] = {}
+    rivals: dict[str, PossibleCause] = {}
     for f in parts:
         for rival in f.rivals:
             loss = f.log_bayes_factor - rival.log_bayes_factor

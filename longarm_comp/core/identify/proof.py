@@ -90,7 +90,7 @@ class Proof:
         ours = 1.0
         for f in found:
             if isinstance(f.terms[0], Bias):
-                ours *= f.presence * f.chance_seen
+                ours *= f.presence * f.chance_bias
         made = {}
         for name in names:
             seen, commanded = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))

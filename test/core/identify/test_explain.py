@@ -81,10 +81,10 @@ def test_a_half_of_the_rows_agrees_with_every_name_of_the_set_that_it_names_one_
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     found = by_name(rows, JointCompliance, ServoDroop)
     effect, linear = one(found), found.linear
-    assert linear is not None and effect.chance == pytest.approx(0.5)
+    assert linear is not None and effect.cause.probability == pytest.approx(0.5)
     half = (replace(effect, chance=1.0, rivals=()),)
     (shared,) = replace(linear, of_halves=(half, half)).average_samples(0)
-    assert shared.presence > 0.99 and shared.chance == pytest.approx(0.5)
+    assert shared.presence > 0.99 and shared.cause.probability == pytest.approx(0.5)
 
 
 def test_geometry_and_noise_alone_name_nothing() -> None:

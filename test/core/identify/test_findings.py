@@ -14,9 +14,10 @@ from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.identify.candidate_states import SmallestSize, judge_candidates
 from longarm_comp.core.identify.findings import make_findings
 from longarm_comp.core.identify.posterior import explain
-from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, PossibleCause
 from longarm_comp.core.identify.posterior.resampled import Resampling
 
+GAIN = Candidate("joint_gain", (JointGain(5, gain=0.01),))
 GEAR = Candidate("gear_eccentricity", (GearEccentricity(5),))
 TILT = Candidate("bearing_tilt", (BearingTilt(5),))
 WAVE = Candidate("discovered", (Discovered("joint 5", "turn z", "linear(q5)", "q5 0..1"),))
@@ -25,9 +26,10 @@ WAVE = Candidate("discovered", (Discovered("joint 5", "turn z", "linear(q5)", "q
 def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEffect:
     """A gain, or what else it may be; a rival's evidence is less by 2 for each in the row."""
     behind = {c.name: (c, factor - 2.0 * k) for k, c in enumerate((GEAR, TILT, WAVE), 1)}
-    rivals = tuple(Rival(*behind[name], p) for name, p in names)
-    chance = 1.0 - sum(p for _, p in names)
-    return FoundEffect((JointGain(joint, gain=0.01),), 0.9, factor, chance, rivals)
+    own = Candidate("joint_gain", (JointGain(joint, gain=0.01),)), factor
+    rivals = (PossibleCause(*behind[name], p) for name, p in names)
+    mine = PossibleCause(*own, 1.0 - sum(p for _, p in names))
+    return FoundEffect((mine, *rivals), 0.9)
 
 
 @pytest.mark.parametrize(
@@ -35,7 +37,7 @@ def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEf
 )
 def test_what_is_credibly_not_there_is_not_in_doubt(there: float, open_: bool) -> None:
     gain = JointGain(2, gain=0.01)
-    assert FoundEffect((gain,), there, 3.0).in_doubt is open_
+    assert FoundEffect.of((gain,), there, 3.0).in_doubt is open_
 
 
 def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
@@ -46,7 +48,7 @@ def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
 
 
 def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first() -> None:
-    soft = FoundEffect((JointCompliance(3),), 0.99, 50.0)
+    soft = FoundEffect.of((JointCompliance(3),), 0.99, 50.0)
     first, second = make_findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
     assert (first.name, first.where) == ("joint_gain", ("joint 2", "joint 5"))
     assert first.log_bayes_factor == 70.0
@@ -65,7 +67,7 @@ def test_a_rival_that_only_samples_show_has_the_odds_that_they_give_it(
     """The page said of one with 3 percent: log odds 0."""
     monkeypatch.setattr(Resampling, "_in_its_place", lambda self, found, effects: effects[0])
     sample = [gain(2, ("gear_eccentricity", 0.2))]
-    certain = FoundEffect((JointGain(2, gain=0.01),), 1.0, 300.0)
+    certain = FoundEffect.of((JointGain(2, gain=0.01),), 1.0, 300.0)
     nothing: Any = None
     samples = Resampling(nothing, (), (), (certain,), nothing)
     (rival,) = samples._average_effect(certain, [certain], [sample] * 4).rivals
@@ -89,9 +91,9 @@ def test_effects_are_compared_with_their_rivals_until_none_is_better(
 
 def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
     first = gain(2, ("gear_eccentricity", 0.5))
-    (own,) = first.rivals
-    there = replace(own, candidate=Candidate(GEAR.name, (GearEccentricity(2),)))
-    first = replace(first, rivals=(there,))
+    own, rival = first.causes
+    there = replace(rival, candidate=Candidate(GEAR.name, (GearEccentricity(2),)))
+    first = replace(first, causes=(own, there))
     (found,) = make_findings([first, gain(5, ("gear_eccentricity", 0.1))])
     assert found.names == ("joint_gain", "gear_eccentricity")
     assert found.open
@@ -126,12 +128,13 @@ def test_the_runner_up_is_the_most_probable_other_name() -> None:
 
 def judged(worth: float) -> tuple[FoundEffect, bool]:
     """A gain, beside a gear that was fitted in its place, a bearing like the gear, a function."""
-    rivals = (
-        Rival(GEAR, 38.0, 0.2, "gear_eccentricity"),
-        Rival(TILT, 38.0, 0.2, "gear_eccentricity"),
-        Rival(WAVE, 30.0, 0.2, "discovered"),
+    causes = (
+        PossibleCause(GAIN, 40.0, 0.4),
+        PossibleCause(GEAR, 38.0, 0.2, "gear_eccentricity"),
+        PossibleCause(TILT, 38.0, 0.2, "gear_eccentricity"),
+        PossibleCause(WAVE, 30.0, 0.2, "discovered"),
     )
-    part = FoundEffect((JointGain(5, gain=0.01),), 0.9, 40.0, 0.4, rivals)
+    part = FoundEffect(causes, 0.9)
     assert [r.name for r in part.fitted_rivals] == ["gear_eccentricity", "discovered"]
     return part.compare_with({"gear_eccentricity": worth})
 
@@ -148,7 +151,7 @@ def test_a_fit_in_its_place_decides_between_an_effect_and_its_rival(
     wanted = {"joint_gain": stays * 2 / 3, "discovered": stays / 3}
     wanted |= dict.fromkeys(("gear_eccentricity", "bearing_tilt"), (1.0 - stays) / 2)
     assert made.names == pytest.approx(wanted)
-    factors = {r.name: r.log_bayes_factor for r in made.rivals} | {made.name: made.log_bayes_factor}
+    factors = {c.name: c.log_bayes_factor for c in made.causes}
     gear = 40.0 + worth
     assert factors == pytest.approx(
         {"joint_gain": 40.0, "gear_eccentricity": gear, "bearing_tilt": gear, "discovered": 30.0}
@@ -168,7 +171,7 @@ def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
 
 def test_a_function_alone_is_no_finding() -> None:
     (term,) = WAVE.terms
-    alone = FoundEffect((term,), 0.99, 40.0)
+    alone = FoundEffect.of((term,), 0.99, 40.0)
     assert make_findings([alone]) == ()
     assert alone.unnamed
     assert alone.chance_unnamed == 1.0
@@ -178,7 +181,7 @@ def test_a_function_alone_is_no_finding() -> None:
 
 def test_a_name_that_two_findings_may_have_is_told_of_the_one_at_its_place() -> None:
     """A gear may be the tilt at joint 5, which is stronger, or the gain at joint 2."""
-    tilt = FoundEffect(TILT.terms, 0.99, 50.0, 0.7, (Rival(GEAR, 48.0, 0.3),))
+    tilt = FoundEffect((PossibleCause(TILT, 50.0, 0.7), PossibleCause(GEAR, 48.0, 0.3)), 0.99)
     findings = make_findings([gain(2, ("gear_eccentricity", 0.3)), tilt])
     blank: Any = SimpleNamespace(model=None, known_columns=({}, {}, {}))
     search: Any = SimpleNamespace(fit=blank, chosen_terms=(), needed_evidence=5.0)

@@ -121,7 +121,7 @@ def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> Explain
     if idle and not any(e.loaded for e in fitted.model.effects if e.key not in idle):
         fitted = fit_model(fitted.model.without(idle), search.session, near=fitted, **noise)
     known = {t.variant: t for t in fitted.model.terms}
-    held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
+    held = (f.with_terms(known[t.variant] for t in f.terms) for f in state.found)
     return replace(state, fit=fitted, found=tuple(held), candidates=tuple(search.candidates))
 
 
@@ -134,7 +134,7 @@ def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> Explained
     best = search.repeat_until_best(state)
     for c in search.candidates:
         if len(c.terms) > 1 and c.terms[0].elastic:
-            every = (FoundEffect(c.terms, 1.0, 0.0),)
+            every = (FoundEffect.of(c.terms, 1.0, 0.0),)
             here, there = (
                 search.evidence_refitted(best, found, best_places=True)
                 for found in (best.found, every)

@@ -55,8 +55,8 @@ def widen_prior(found: FoundEffect) -> FoundEffect:
     """
     if not found.unnamed:
         return found
-    terms = tuple(
+    terms = (
         replace(t, scale=max(t.scale, LOOSE * abs(t.amount)))  # type: ignore
         for t in found.terms
     )
-    return replace(found, terms=terms, loose=True)
+    return found.with_terms(terms, loose=True)

@@ -20,7 +20,7 @@ from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
     FoundEffect,
-    Rival,
+    PossibleCause,
     keys_of,
     smallest_set,
 )
@@ -86,7 +86,7 @@ class OfferedEffects:
         every = []
         for k, (effect, offer, value) in enumerate(zip(best.effects, offers, values, strict=True)):
             terms, factor = self._terms_of(effect.best, offer, value), self._bayes_factor(offers, k)
-            every.append(FoundEffect(terms, effect.presence, factor, log_prior=offer.log_prior))
+            every.append(FoundEffect.of(terms, effect.presence, factor, offer.log_prior))
         found = tuple(f for f in every if f.presence >= CREDIBLE)
         doubtful = tuple(f for f in every if f.presence < CREDIBLE)
         return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
@@ -112,10 +112,10 @@ class OfferedEffects:
             offer = effect.offer
             terms = self._terms_of(effect.best, offer, effect.mean[list(offer.column_numbers)])
             worth = math.log(effect.presence) - math.log1p(-min(effect.presence, 1.0 - 1e-16))
-            rivals = (Rival(c, worth, p) for name, (p, c) in shares.items() if name != offer.name)
-            made.append(
-                FoundEffect(terms, effect.presence, worth, shares[offer.name][0], tuple(rivals))
-            )
+            share, _ = shares.pop(offer.name)
+            mine = PossibleCause(Candidate(offer.name, terms), worth, share)
+            rivals = (PossibleCause(one, worth, share) for share, one in shares.values())
+            made.append(FoundEffect((mine, *rivals), effect.presence))
         return tuple(made)
 
     def evidence_of(self, explained: PosteriorResult) -> float:
@@ -164,12 +164,9 @@ class OfferedEffects:
             if k is not None:
                 rest = [*offers[:k], *offers[k + 1 :]]
                 without = max(b.base + b.bank.evidence(rest) for b in banks)
-                f = dataclasses.replace(
-                    f,
-                    terms=tuple(fitted[t.key] for t in f.terms),
-                    presence=float(expit(self.evidence_of_known - without)),
-                    log_prior=offers[k].log_prior,
-                )
+                presence = float(expit(self.evidence_of_known - without))
+                f = dataclasses.replace(f, presence=presence)
+                f = f.with_terms(fitted[t.key] for t in f.terms)
                 made.append(self._add_rivals(f, offers, k))
         held = keys_of(found)
         besides = self.find_best(as_certain(self.bank, self.known)).doubtful
@@ -196,7 +193,7 @@ class OfferedEffects:
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, tried[int(np.argmax(worth))], rest
         first = [self._candidate_of_name(n, found.terms) for n in self._list_aliases(found.terms)]
-        mine = [Candidate(found.name, found.terms), *first]
+        mine = [found.cause.candidate, *first]
         judged = [(0.0, own, offers[k].log_prior, mine)]
         names = {c.name for c in mine}
         for odds, n, offer, rest in sorted(likeliest.values(), key=lambda r: -r[0]):
@@ -214,7 +211,7 @@ class OfferedEffects:
             names |= {c.name for c in alike}
         chances = softmax([odds for odds, *_ in judged]).tolist()
         leader, *others = (
-            Rival(candidate, factor, chance / len(alike), alike[0].name, prior)
+            PossibleCause(candidate, factor, chance / len(alike), alike[0].name, prior)
             for chance, (_, factor, prior, alike) in zip(chances, judged, strict=True)
             for candidate in alike
         )
@@ -224,7 +221,7 @@ class OfferedEffects:
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
         otherwise.pop(list_variants(found.terms), None)
         found = dataclasses.replace(found, otherwise=tuple(otherwise.values()))
-        found = found.put_first(dataclasses.replace(leader, loose=found.loose), others)
+        found = found.put_first(dataclasses.replace(leader, loose=found.cause.loose), others)
         return dataclasses.replace(found, where=smallest_set(where))
 
     def _list_substitutes(

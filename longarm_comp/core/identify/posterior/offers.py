@@ -134,9 +134,9 @@ def _list_with_prices(
     for f in found:
         if list_variants(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
-            prior = prior if f.log_prior is None else f.log_prior
-            sizes = (AMPLITUDES, even) if f.unnamed and not f.loose else (SIZES, CHANCES)
-            listed.append(_Listed(Candidate(f.name, f.terms), prior, *sizes))
+            prior = prior if f.cause.log_prior is None else f.cause.log_prior
+            sizes = (AMPLITUDES, even) if f.unnamed and not f.cause.loose else (SIZES, CHANCES)
+            listed.append(_Listed(f.cause.candidate, prior, *sizes))
     return listed
 
 
