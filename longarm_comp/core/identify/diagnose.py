@@ -22,7 +22,7 @@ from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import list_causes, propose_poses
-from longarm_comp.core.identify.findings import complete_findings, make_findings
+from longarm_comp.core.identify.findings import make_findings
 from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
@@ -110,8 +110,7 @@ def diagnose(
     held = {t.key for t in final.model.terms}
     added = [t for t in found.chosen_terms if t.key in held]
     ends = compute_intervals(final, added, candidates)
-    named = make_findings(found.found)
-    named = complete_findings(named, arm, found.fit, final, ends, proved.fullest)
+    named = make_findings(found.found, arm, found.fit, final, ends, proved.fullest)
     network, proof = None, proved.proof
     if structure.flag and train_network is not None and final.session.has_position.any():
         say("network")

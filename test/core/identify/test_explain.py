@@ -82,7 +82,7 @@ def test_a_half_of_the_rows_agrees_with_every_name_of_the_set_that_it_names_one_
     found = by_name(rows, JointCompliance, ServoDroop)
     effect, linear = one(found), found.linear
     assert linear is not None and effect.cause.probability == pytest.approx(0.5)
-    half = (replace(effect, chance=1.0, rivals=()),)
+    half = (replace(effect, causes=(replace(effect.cause, probability=1.0),)),)
     (shared,) = replace(linear, of_halves=(half, half)).average_samples(0)
     assert shared.presence > 0.99 and shared.cause.probability == pytest.approx(0.5)
 

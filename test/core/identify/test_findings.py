@@ -6,16 +6,22 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from demo_rows import session_of
+from discover_rows import DEMO
 
 from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit import linearise_model
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.identify.candidate_states import SmallestSize, judge_candidates
-from longarm_comp.core.identify.findings import make_findings
+from longarm_comp.core.identify.findings import Finding, make_findings
+from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior import explain
 from longarm_comp.core.identify.posterior.found import FoundEffect, PossibleCause
 from longarm_comp.core.identify.posterior.resampled import Resampling
+from longarm_comp.core.model.model import Model
 
 GAIN = Candidate("joint_gain", (JointGain(5, gain=0.01),))
 GEAR = Candidate("gear_eccentricity", (GearEccentricity(5),))
@@ -30,6 +36,13 @@ def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEf
     rivals = (PossibleCause(*behind[name], p) for name, p in names)
     mine = PossibleCause(*own, 1.0 - sum(p for _, p in names))
     return FoundEffect((mine, *rivals), 0.9)
+
+
+def named(found: list[FoundEffect]) -> tuple[Finding, ...]:
+    """The findings of effects that a fit does not hold, so they move nothing in it."""
+    fit = linearise_model(Model(DEMO, (JointZero(1),)), session_of(DEMO, 7))
+    ends = compute_intervals(fit, (), ())
+    return make_findings(found, DEMO, fit, fit, ends, [(fit, fit.session)])
 
 
 @pytest.mark.parametrize(
@@ -49,7 +62,7 @@ def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
 
 def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first() -> None:
     soft = FoundEffect.of((JointCompliance(3),), 0.99, 50.0)
-    first, second = make_findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
+    first, second = named([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
     assert (first.name, first.where) == ("joint_gain", ("joint 2", "joint 5"))
     assert first.log_bayes_factor == 70.0
     assert first.probability == pytest.approx(1.0 - 0.1 * 0.1)
@@ -94,7 +107,7 @@ def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
     own, rival = first.causes
     there = replace(rival, candidate=Candidate(GEAR.name, (GearEccentricity(2),)))
     first = replace(first, causes=(own, there))
-    (found,) = make_findings([first, gain(5, ("gear_eccentricity", 0.1))])
+    (found,) = named([first, gain(5, ("gear_eccentricity", 0.1))])
     assert found.names == ("joint_gain", "gear_eccentricity")
     assert found.open
     assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3)
@@ -108,7 +121,7 @@ def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
 
 def test_a_name_that_may_stand_for_one_part_only_is_a_partial_alias() -> None:
     parts = [gain(2, factor=10.0), gain(5, ("gear_eccentricity", 0.3), factor=30.0)]
-    (found,) = make_findings(parts)
+    (found,) = named(parts)
     assert found.names == ("joint_gain",)
     assert not found.open
     assert [(p.part, p.name) for p in found.partial_aliases] == [
@@ -120,7 +133,7 @@ def test_a_name_that_may_stand_for_one_part_only_is_a_partial_alias() -> None:
 
 
 def test_the_runner_up_is_the_most_probable_other_name() -> None:
-    (found,) = make_findings([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
+    (found,) = named([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
     assert found.runner_up is not None
     assert found.runner_up.effect == TILT.name
     assert [a.candidate.name for a in found.alternatives] == ["bearing_tilt", "gear_eccentricity"]
@@ -159,20 +172,20 @@ def test_a_fit_in_its_place_decides_between_an_effect_and_its_rival(
 
 
 def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
-    (found,) = make_findings([gain(5, ("discovered", 0.3))])
+    (found,) = named([gain(5, ("discovered", 0.3))])
     assert found.names == ("joint_gain",)
     assert found.open
     assert "joint 5, turn z, linear(q5)" in found.unnamed
     sure = replace(gain(5, ("discovered", 0.01)), presence=0.99)
-    assert not make_findings([sure])[0].open
-    assert make_findings([replace(sure, presence=0.9)])[0].open, "another session may not show it"
-    assert make_findings([sure])[0].unnamed == ""
+    assert not named([sure])[0].open
+    assert named([replace(sure, presence=0.9)])[0].open, "another session may not show it"
+    assert named([sure])[0].unnamed == ""
 
 
 def test_a_function_alone_is_no_finding() -> None:
     (term,) = WAVE.terms
     alone = FoundEffect.of((term,), 0.99, 40.0)
-    assert make_findings([alone]) == ()
+    assert named([alone]) == ()
     assert alone.unnamed
     assert alone.chance_unnamed == 1.0
     assert gain(5, ("discovered", 0.3)).chance_unnamed == pytest.approx(0.3)
@@ -182,7 +195,7 @@ def test_a_function_alone_is_no_finding() -> None:
 def test_a_name_that_two_findings_may_have_is_told_of_the_one_at_its_place() -> None:
     """A gear may be the tilt at joint 5, which is stronger, or the gain at joint 2."""
     tilt = FoundEffect((PossibleCause(TILT, 50.0, 0.7), PossibleCause(GEAR, 48.0, 0.3)), 0.99)
-    findings = make_findings([gain(2, ("gear_eccentricity", 0.3)), tilt])
+    findings = named([gain(2, ("gear_eccentricity", 0.3)), tilt])
     blank: Any = SimpleNamespace(model=None, known_columns=({}, {}, {}))
     search: Any = SimpleNamespace(fit=blank, chosen_terms=(), needed_evidence=5.0)
     gears = [Candidate("gear_eccentricity", (GearEccentricity(k),)) for k in (2, 5, 3)]
