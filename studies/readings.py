@@ -19,8 +19,8 @@ from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.model_tolerance import TOLERANCES
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offers import make_offers
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import read_yaml

@@ -56,12 +56,12 @@ def weigh_alternatives(
             for c in (_Change(stays), *changes)
             if e.chance * c.chance >= UNLIKELY
         ]
-    still = {t.key for t in fit.model.terms if not slots_of(fit.model.arm, [t])}
+    fixed = {t.key for t in fit.model.terms if not slots_of(fit.model.arm, [t])}
     others = sorted((e for e in every if e.gone or e.terms), key=lambda e: -e.chance)
     shown = [
         e
         for e in others
-        if still.isdisjoint(e.gone) and all(slots_of(fit.model.arm, [t]) for t in e.terms)
+        if fixed.isdisjoint(e.gone) and all(slots_of(fit.model.arm, [t]) for t in e.terms)
     ]
     kept = shown[:MOST]
     share = sum(e.chance for e in shown) / (sum(e.chance for e in kept) or 1.0)

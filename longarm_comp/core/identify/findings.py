@@ -25,6 +25,8 @@ from longarm_comp.core.yaml_file import Closed
 
 Pair = tuple[float, float]
 
+MOST_VALUES = 4
+"""Largest number of values in a sentence; report.json has all."""
 UNWEIGHED = "arm.yaml declares no weight, so which part yields is not sure"
 """The doubt about an elastic finding if the loads are not known."""
 
@@ -302,10 +304,6 @@ def _list_partial_aliases(parts: Sequence[FoundEffect]) -> tuple[PartialAlias, .
     )
 
 
-_MOST = 4
-"""Largest number of values in a sentence; report.json has all."""
-
-
 def describe_finding(finding: Finding) -> str:
     """Describe a finding in words: names, places, values with intervals, runner-up, doubts."""
     values = []
@@ -319,7 +317,7 @@ def describe_finding(finding: Finding) -> str:
         values.append(f"{p.where} {p.name} {shown}")
     if not values:
         values = [", ".join(finding.where)]
-    listed = f"{', '.join(values[:_MOST])}{', ...' if len(values) > _MOST else ''}"
+    listed = f"{', '.join(values[:MOST_VALUES])}{', ...' if len(values) > MOST_VALUES else ''}"
     said = "; ".join(filter(None, (listed, finding.reading)))
     other = ""
     if finding.runner_up is not None and len(finding.names) == 1:

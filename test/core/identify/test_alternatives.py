@@ -247,7 +247,7 @@ def test_a_diagnosis_tells_the_promise_what_it_left_open() -> None:
     """It names a gear's second order; that it is the first has a chance of one in ten or more."""
     with few_effects((GearEccentricity,)):
         made = la.diagnose(ARM, at_three_positions(), network=False)
-    (effect,) = made.diagnosis.search.found
+    (effect,) = made.diagnosis.explained.found
     assert {c.terms[0].order for c, _ in effect.otherwise} >= {1}
     known = made.model.uncertainty
     assert known is not None

@@ -36,10 +36,10 @@ from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, replace_effect
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import make_offers, tolerance_columns
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 from studies.outside import PumpShake, RubberStop

@@ -22,8 +22,8 @@ from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offer_table import Coefficients
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
 UNBOUND = np.full(9, np.inf)
@@ -148,7 +148,7 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
     alone = of.evidence(offers[:1]) - (offers[0].log_prior - NONE)
     elsewhere = of.evidence(offers[::2]) - of.evidence(offers[2:])
     there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
-    assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
+    assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.same_name)
     assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
     others = OtherEffects(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
     beside = of.compute_single_effect(x.T @ y, others)

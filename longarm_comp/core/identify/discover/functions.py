@@ -225,7 +225,9 @@ def _make_linear(one: FunctionInput) -> Shape:
 
     An input that no command knows is centred too. Then commands without it have no mean error.
     """
-    return Legendre(*one.domain, 1) if one.is_far_from_zero or not one.told else Linear(*one.domain)
+    if one.is_far_from_zero or not one.known_to_commands:
+        return Legendre(*one.domain, 1)
+    return Linear(*one.domain)
 
 
 def make_switch(one: FunctionInput, threshold: float) -> Switch:

@@ -55,7 +55,7 @@ class FunctionInput:
         circular: whether it is an angle, of which harmonics are tried.
         smooth: whether it is a coordinate of the seen point: errors of lenses have no waves or
             thresholds.
-        told: whether a command knows its value.
+        known_to_commands: whether a command knows its value.
     """
 
     name: str
@@ -63,7 +63,7 @@ class FunctionInput:
     levels: int
     circular: bool = False
     smooth: bool = False
-    told: bool = True
+    known_to_commands: bool = True
 
     @cached_property
     def low(self) -> float:
@@ -207,9 +207,9 @@ def _add_distinct(
     found = quantity(name)
     circular = arm is not None and isinstance(found, JointPosition) and found.unit(arm) == "rad"
     smooth = name.startswith(SEEN)
-    told = not is_column(name) or is_told(name)
+    known = not is_column(name) or is_told(name)
     levels = count_levels(values)
-    made.append(FunctionInput(name, np.ascontiguousarray(values), levels, circular, smooth, told))
+    made.append(FunctionInput(name, np.ascontiguousarray(values), levels, circular, smooth, known))
 
 
 def count_levels(values: np.ndarray) -> int:

@@ -26,7 +26,8 @@ class ExplainedSession:
         noise: the last estimate of the noise.
         doubtful: effects whose presence is in doubt; they are not in the model.
         candidates: the library as it was offered last.
-        linear: the linear stage of the search, which can be repeated on other rows.
+        tolerance: the likeliest model tolerance.
+        resampling: its linear stage, which can be repeated on other rows.
     """
 
     fit: ModelFit
@@ -35,7 +36,7 @@ class ExplainedSession:
     doubtful: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     tolerance: ModelTolerance = RIGID
-    linear: Resampling | None = None
+    resampling: Resampling | None = None
 
     @property
     def chosen_terms(self) -> tuple[Term, ...]:

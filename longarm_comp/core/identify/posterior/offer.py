@@ -72,23 +72,23 @@ class OtherEffects:
     """The limits that the other effects of an explanation set to one effect.
 
     Attributes:
-        shut: numbers of the offers that are excluded.
+        excluded: numbers of the offers that are excluded.
         held: places that other effects take.
         names: names of other effects.
         sites: sites of the other effects that are functions without a name.
     """
 
-    shut: frozenset[int] = frozenset()
+    excluded: frozenset[int] = frozenset()
     held: frozenset[Hashable] = frozenset()
     names: frozenset[str] = frozenset()
     sites: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> OtherEffects:
+    def of(cls, effects: Sequence[SingleEffect], excluded: frozenset[int]) -> OtherEffects:
         """Summarise other effects; names and sites are those of effects that are probably there."""
         there = [e for e in effects if e.presence > 0.5]
         return cls(
-            shut,
+            excluded,
             frozenset(key for e in effects for key in e.held_places),
             frozenset(e.offer.name for e in there),
             frozenset(e.offer.site for e in there if e.offer.site),

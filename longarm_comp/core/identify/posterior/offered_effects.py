@@ -25,7 +25,7 @@ from longarm_comp.core.identify.posterior.found import (
     smallest_set,
 )
 from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
@@ -91,7 +91,7 @@ class OfferedEffects:
         doubtful = tuple(f for f in every if f.presence < CREDIBLE)
         return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
 
-    def single_effects(self) -> tuple[FoundEffect, ...]:
+    def find_with_names(self) -> tuple[FoundEffect, ...]:
         """Return the effects of the best explanation, each with all names that it may have.
 
         This is faster than `find_best`: the search also starts from the known effects, but not
@@ -142,13 +142,13 @@ class OfferedEffects:
         return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))
 
     def judge_found(
-        self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
+        self, found: Sequence[FoundEffect], every: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
         """Judge the presence and the rivals of the effects in the model.
 
         Args:
             found: the effects in the model.
-            banks: the offers by every tolerance, this one included. An effect is compared with its
+            every: the offers by every tolerance, this one included. An effect is compared with its
                 absence at the best tolerance, because a larger error of another effect's form may
                 explain as much.
 
@@ -163,7 +163,7 @@ class OfferedEffects:
             k = number.get(list_variants(f.terms))
             if k is not None:
                 rest = [*offers[:k], *offers[k + 1 :]]
-                without = max(b.base + b.bank.evidence(rest) for b in banks)
+                without = max(each.base + each.bank.evidence(rest) for each in every)
                 presence = float(expit(self.evidence_of_known - without))
                 f = dataclasses.replace(f, presence=presence)
                 f = f.with_terms(fitted[t.key] for t in f.terms)

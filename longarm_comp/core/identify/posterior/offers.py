@@ -30,9 +30,9 @@ from longarm_comp.core.identify.posterior.found import (
     keys_of,
 )
 from longarm_comp.core.identify.posterior.offer import Offer
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offer_table import Coefficients
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.identify.structure import legendre_polynomials
 from longarm_comp.core.model.model import slots_of
 

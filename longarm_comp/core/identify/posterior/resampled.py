@@ -60,7 +60,7 @@ class Resampling:
         (bank,) = make_offers(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance], counts=counts
         )
-        return bank.single_effects()
+        return bank.find_with_names()
 
     def average_samples(self, seed: int) -> tuple[FoundEffect, ...]:
         """Return the found effects with probabilities averaged over samples of the rows.
@@ -90,7 +90,7 @@ class Resampling:
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         linear = self._in_its_place(found, whole)
         by_columns = {} if linear is None else linear.names
-        fitted = {n: p / by_columns[n] for n, p in found.names.items() if by_columns.get(n)}
+        correction = {n: p / by_columns[n] for n, p in found.names.items() if by_columns.get(n)}
         named = {c.name: c.candidate for c in found.causes}
         for n, effects in enumerate(samples):
             other = self._in_its_place(found, effects)
@@ -100,7 +100,7 @@ class Resampling:
                 other = replace(linear, presence=other.presence)
             there += other.presence / len(samples)
             theirs = {c.name: c.candidate for c in other.causes}
-            likely = {name: p * fitted.get(name, 1.0) for name, p in other.names.items()}
+            likely = {name: p * correction.get(name, 1.0) for name, p in other.names.items()}
             for name, chance in likely.items():
                 share = other.presence * chance / sum(likely.values())
                 chances[name] = chances.get(name, 0.0) + share / len(samples)
