@@ -74,7 +74,7 @@ class Proof:
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
     @property
-    def turns(self) -> dict[str, np.ndarray]:
+    def turn_sizes(self) -> dict[str, np.ndarray]:
         """Size (K,) of each error of the orientation, rad, by model name."""
         return {name: np.linalg.norm(error, axis=1) for name, error in self.turned.items()}
 

@@ -135,7 +135,7 @@ def prove_written(
     if len(proof.rows_at):
         choice = choose_written(expected, seen, proof.fold)
     else:  # only orientations were measured
-        turns = {name: proof.turns[name] for name in offered}
+        turns = {name: proof.turn_sizes[name] for name in offered}
         choice = choose_written(turns, turns, proof.fold_of_turned, "mrad")
     means = {name: float(each.mean()) for name, each in expected.items() if len(each)}
     return ProvedModels(explained, folded, models, held_out, folds, proof, means, *choice)

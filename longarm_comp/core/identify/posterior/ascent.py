@@ -74,7 +74,7 @@ def find_explanation(
     while left := [e for e in best.effects if e.offer.name not in tried_without]:
         effect = left[0]
         tried_without.add(effect.offer.name)
-        names = {bank.offers[n].name for n in np.flatnonzero(effect.q > UNLIKELY)}
+        names = {bank.offers[n].name for n in np.flatnonzero(effect.probabilities > UNLIKELY)}
         excluded = frozenset(n for n, offer in enumerate(bank.offers) if offer.name in names)
         others = tuple(e for e in best.effects if e is not effect)
         without = _add_effects(bank, others, excluded, min(len(others) + AT_ONCE, most))
@@ -127,7 +127,9 @@ def _sweep_effects(
             rest = taken - was.mean
             others = OtherEffects.of([*effects[:k], *effects[k + 1 :]], excluded)
             now = bank.compute_single_effect(bank.along - bank.gram @ rest, others)
-            moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
+            moved = max(
+                moved, float(np.abs(now.probabilities - was.probabilities).max(initial=0.0))
+            )
             effects[k], taken = now, rest + now.mean
         if moved < UNLIKELY:
             break

@@ -79,7 +79,7 @@ class OfferBank:
     def _table(self) -> OfferTable:
         return OfferTable(self.gram, self.coefficients, dict(enumerate(self.offers)))
 
-    def has_a_name(self, offer: Offer) -> bool:
+    def imitates_a_name(self, offer: Offer) -> bool:
         """Tell whether an offer is a function without a name that moves the rows as a named effect.
 
         Then it is only another description of that effect. Two columns count as the same within

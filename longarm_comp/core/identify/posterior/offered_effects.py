@@ -101,13 +101,13 @@ class OfferedEffects:
         best = find_explanation(self.bank, self.known, as_certain(self.bank, self.known))
         for effect in best.effects:
             shares: dict[str, tuple[float, Candidate]] = {}
-            for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
+            for n in np.flatnonzero(effect.probabilities > IMPOSSIBLE).tolist():
                 terms = self.candidates[n].terms
                 alike = [self._candidate_of_name(name, terms) for name in self._list_aliases(terms)]
                 alike.insert(0, Candidate(terms[0].name, terms))
                 for one in alike:
                     before, first = shares.get(one.name, (0.0, one))
-                    share = float(effect.q[n]) / effect.presence / len(alike)
+                    share = float(effect.probabilities[n]) / effect.presence / len(alike)
                     shares[one.name] = before + share, first
             offer = effect.offer
             terms = self._terms_of(effect.best, offer, effect.mean[list(offer.column_numbers)])
@@ -273,7 +273,7 @@ class OfferedEffects:
         here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
             less = (offers[k].without({key}) for key in offers[k].keys)
-            fewer = [offer for offer in less if not self.bank.has_a_name(offer)]
+            fewer = [offer for offer in less if not self.bank.imitates_a_name(offer)]
             if not fewer:
                 break
             tried = self.bank.evidence_of_sets([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])

@@ -81,7 +81,7 @@ def make_offers(
     own = slice(tolerated.shape[1], None)
     moving, plain = _make_offers_that_move(arm, np.diag(gram)[own], stacked, listed)
     every = OfferBank(plain, gram[own, own], along[own], stacked.coefficients)
-    kept = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
+    kept = [n for n, offer in enumerate(plain) if not every.imitates_a_name(offer)]
     candidates, plain = [listed[moving[n]].candidate for n in kept], [plain[n] for n in kept]
     at = {list_variants(c.terms): n for n, c in enumerate(candidates)}
     known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)

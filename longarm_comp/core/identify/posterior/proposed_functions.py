@@ -26,7 +26,7 @@ from longarm_comp.core.identify.discover.bank import (
     make_term,
 )
 from longarm_comp.core.identify.discover.functions import REFINED, vary_shape
-from longarm_comp.core.identify.discover.inputs import DENSE
+from longarm_comp.core.identify.discover.inputs import FINE_GRID
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
@@ -143,7 +143,7 @@ def _refine_shapes(
     """Yield each candidate with its best thresholds or frequencies: a coarse and a fine search."""
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
-        for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
+        for width in (1.0, 2.0 / (FINE_GRID - 1)):  # then between the neighbours of the best
             tried = (
                 dataclasses.replace(c, log_prior=prior)
                 for c in _vary_candidate(bank, best[1], width)
