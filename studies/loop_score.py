@@ -75,8 +75,8 @@ def score(setting: LoopSetting, found: Diagnosis) -> dict[str, Any]:
         "none_of_these": found.none_of_these,
         "causes": [[c.formula, c.probability] for c in found.causes],
         "written": found.written,
-        "noise_mm": (1e3 * found.search.noise.sigma).round(4).tolist(),
-        "rho": found.search.noise.rho,
+        "noise_mm": (1e3 * found.explained.noise.sigma).round(4).tolist(),
+        "rho": found.explained.noise.rho,
         "intervals": _intervals(setting, found),
         "errors_mm": errors,
     }
@@ -207,7 +207,7 @@ def _stated_places(found: Diagnosis, finding: Finding, name: str) -> set[str]:
 
 def _strongest(found: Diagnosis, terms: tuple[Effect | Bias, ...]) -> str:
     """Place with the largest shift of the tip."""
-    fitted = found.search.fit
+    fitted = found.explained.fit
     sizes: dict[str, float] = {}
     mine = {(t.name, t.where) for t in terms}
     shifts: dict[str, np.ndarray] = {}

@@ -19,8 +19,8 @@ from longarm_comp.core.effects.compliances import ServoDroop
 from longarm_comp.core.identify.diagnose import diagnose
 from longarm_comp.core.identify.model_tolerance import TOLERANCES
 from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offers import make_offers
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.strict_yaml import read_yaml
@@ -101,7 +101,7 @@ def softness(arm: Arm, share: float = 0.3) -> Iterator[dict[str, Any]]:
         soft = SoftJoint(joint, compliance=float(hidden.compliance[arm.commanded.index(joint)]))
         fitted = fit_model(declared_model(arm).plus(soft, *geometry_terms(arm, session)), session)
         kinds = list_candidates(arm, session.context()).testable
-        there = (FoundEffect((soft,), 1.0, 0.0),)
+        there = (FoundEffect.of((soft,), 1.0, 0.0),)
         every = make_offers(fitted, kinds, (), there, TOLERANCES)
         of = max(every, key=lambda each: each.evidence_of_known)
         bank, own = of.bank, of.bank.offers[of.known[0]]

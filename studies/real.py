@@ -107,7 +107,7 @@ def ladder(parts: Sequence[Measured], found: Sequence[Diagnosis], say: Say) -> l
         fits = _fit_rung(parts, terms, fits)
         lines.append(_line(name, parts, fits))
     diagnosed = _line("diagnosed", parts, [d.fit for d in found])
-    named = tuple(dict.fromkeys(f.name for d in found for f in d.search.found))
+    named = tuple(dict.fromkeys(f.name for d in found for f in d.explained.found))
     return [*lines, replace(diagnosed, effects=named)]
 
 

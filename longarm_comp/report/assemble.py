@@ -19,7 +19,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
     Args:
         data_sha256: hash of the diagnosed rows.
     """
-    structure, noise = diagnosis.structure, diagnosis.search.noise
+    structure, noise = diagnosis.structure, diagnosis.explained.noise
     # Noise of the first sensor, m, where it tells all of a place
     sigma = noise.sigma[:3]
     whole = diagnosis.train.blocks[0].kind in ("position", "touch") and np.isfinite(sigma).all()
@@ -64,7 +64,7 @@ def build_report(diagnosis: Diagnosis, data_sha256: str) -> record.DiagnosisRepo
                 where=list(dict.fromkeys(t.where for t in f.terms)),
                 probability=f.presence,
             )
-            for f in diagnosis.search.doubtful
+            for f in diagnosis.explained.doubtful
         ],
         called=diagnosis.arm.names_for_people,
         provenance=_provenance_of(diagnosis.seed, data_sha256, [uses], diagnosis.model_given),

@@ -83,7 +83,7 @@ class DiagnosisResult:
         found = self.diagnosis
         of_it = [r for r in (found.train, found.held_out) if r.source == found.train.source]
         ends = [ended for rows in of_it if (ended := rows.ended_s) is not None]
-        others = weigh_alternatives(found.fit, found.search.found, found.search.doubtful)
+        others = weigh_alternatives(found.fit, found.explained.found, found.explained.doubtful)
         known = replace(measure_uncertainty(found.fit, found.errors_anew), alternatives=others)
         return replace(found.model, uncertainty=known, ended_s=max(ends, default=None))
 
@@ -140,7 +140,7 @@ class DiagnosisResult:
             (slot.term, slot.parameter.name): (found.intervals[k].low, found.intervals[k].high)
             for k, slot in enumerate(model.slots)
         }
-        added = {t.key for t in found.search.chosen_terms}
+        added = {t.key for t in found.explained.chosen_terms}
         known = () if before is None else (*before.geometry, *before.effects, *before.camera)
         held = {(t.effect, t.where): t.origin for t in known}
         new = f"{found.verdict}, session {self.session_hash[:16]}, seed {found.seed}"

@@ -108,7 +108,7 @@ def test_gears_at_three_joints_do_not_stand_for_a_hose() -> None:
     )
     found = la.diagnose(arm, rows, network=False)
     assert found.verdict == "partly" and found.diagnosis.causes
-    held = {f.name for f in found.diagnosis.search.found if not f.unnamed}
+    held = {f.name for f in found.diagnosis.explained.found if not f.unnamed}
     assert held <= HAS, "the better explanation is the one without the gears"
     for finding in found.findings:
         for name, chance in finding.chances:

@@ -112,11 +112,11 @@ def drawn(seed: int, base: Diagnosis) -> Diagnosis:
         sign="shows in the held-out poses" if flag and rng.random() < 0.3 else "",
     )
     noise = dataclasses.replace(
-        base.search.noise, sigma=np.full(3, size * rng.uniform(0.01, 1.5)), source="residual"
+        base.explained.noise, sigma=np.full(3, size * rng.uniform(0.01, 1.5)), source="residual"
     )
     return dataclasses.replace(
         base,
-        search=dataclasses.replace(base.search, noise=noise),
+        explained=dataclasses.replace(base.explained, noise=noise),
         findings=tuple(varied(f, rng, written) for f in found),
         structure=structure,
         proof=dataclasses.replace(

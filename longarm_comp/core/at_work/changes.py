@@ -16,6 +16,7 @@ import numpy as np
 
 from longarm_comp.core.arm.context import Context
 from longarm_comp.core.calibration.linear import most_probable_within
+from longarm_comp.core.calibration.model_fit import bounds_of
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.model.model import Model, Slot, slots_of
@@ -114,10 +115,9 @@ class Parameters:
         return np.array([s.parameter.prior for s in self.slots], dtype=float)
 
     @cached_property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds of the parameters, (q,) each."""
-        lower = np.array([s.parameter.lower for s in self.slots], dtype=float)
-        return lower, np.array([s.parameter.upper for s in self.slots], dtype=float)
+    def bounds(self) -> np.ndarray:
+        """Lower and upper bounds of the parameters, (2, q)."""
+        return bounds_of(self.slots)
 
     def most_probable(
         self, mean: np.ndarray, active: np.ndarray, covariance: np.ndarray

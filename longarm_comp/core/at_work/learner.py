@@ -137,12 +137,9 @@ class Learner:
         """Return the learner after a sighting of an arm at rest.
 
         Args:
-            q: (n,) commanded joints, rad and m.
-            context: circumstances, with the history of the joints.
+            q, context, variance, learned: as in `error_of_sighting`.
             tip: (3,) m, the measured position, less the error that a predictor expects.
-            variance: (3,) m^2, variance of the measurement along each axis.
             t_s: time of the sighting, s, by any clock that the caller always uses.
-            learned: (3,) m, sigma of the predictor's error; None without a predictor.
         """
         if self.frozen:
             return self

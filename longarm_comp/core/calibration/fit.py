@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 
 from longarm_comp.core.calibration import linear
-from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
+from longarm_comp.core.calibration.model_fit import ModelFit, bounds_of, prior_widths
 from longarm_comp.core.calibration.session_problem import SessionProblem
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import JobError
@@ -200,8 +200,7 @@ class _JointProblem:
         self.start = np.array([s.value for s in slots], dtype=float)
         self.scale = prior_widths(tuple(slots))
         self.centre = np.where([s.parameter.unknown for s in slots], self.start, 0.0)
-        ends = [[s.parameter.lower, s.parameter.upper] for s in slots]
-        self.limits = np.array(ends).reshape(-1, 2).T
+        self.limits = bounds_of(slots)
         self.bounds = (self.limits - self.centre) / self.scale
         self.knows_noise = all(p.sigma is not None and p.fixed is not None for p in parts)
         self.damping = 0.0

@@ -1,5 +1,6 @@
 """A model fitted to the rows of a session: residual, design, covariance."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -159,7 +160,11 @@ def prior_widths(slots: tuple[Slot, ...]) -> np.ndarray:
     return np.array([s.parameter.width for s in slots], dtype=float)
 
 
+def bounds_of(slots: Sequence[Slot]) -> np.ndarray:
+    """Return the lower and the upper bounds (2, p) of parameters, each in the parameter's unit."""
+    return np.reshape([(s.parameter.lower, s.parameter.upper) for s in slots], (-1, 2)).T
+
+
 def prior_bounds(slots: tuple[Slot, ...]) -> np.ndarray:
     """Return the lower and the upper bounds (2, p) of parameters over their prior widths."""
-    ends = [(s.parameter.lower, s.parameter.upper) for s in slots]
-    return np.reshape(ends, (-1, 2)).T / prior_widths(slots)
+    return bounds_of(slots) / prior_widths(slots)

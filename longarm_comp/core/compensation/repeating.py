@@ -105,11 +105,8 @@ class RepeatingErrors:
         """Compare a sighting of an arm at rest with what is expected of it.
 
         Args:
-            q: (n,) commanded joints, rad and m.
-            context: circumstances, with the history of the joints.
+            q, context, variance, learned: as in `error_of_sighting`.
             tip: (3,) m, the measured position, less the error that a predictor expects.
-            variance: (3,) m^2, variance of the measurement along each axis.
-            learned: (3,) m, sigma of the predictor's error; None without a predictor.
         """
         model, p = self.model, len(self.slots)
         error = error_of_sighting(model, self.promised, q, context, variance, learned)

@@ -35,6 +35,17 @@ from longarm_comp.core.effects.typical_loads import reach
 from longarm_comp.core.model.model import Model, unstack
 from longarm_comp.math.cubic_path import CubicPath, smooth_slopes
 
+_ROUNDS, _STEEP = 4, 4.0
+"""Delays fall with the fourth to sixth root of the squared jerk that is allowed for them, so few
+rounds find it. With an exponent of 4 they approach the permitted time from above."""
+_ALONE, _NEAR = 2.0, 0.02
+"""Exponent of the reduction of the allowed squared jerk: 2, because half of the jerk is the plan's
+own. And the share by which the squared jerk may exceed the plan's."""
+_TOGETHER = 3
+"""Exponent of a smooth maximum: reversals that overlap in time share the longest delay."""
+_PART = np.linspace(0.0, 1.0, 129)
+"""Parts of the time of a change of speed at which planned and real times are compared."""
+
 
 @dataclass(frozen=True, eq=False)
 class PathLag:
@@ -191,13 +202,13 @@ def slow_down(
     speed2 = ((np.diff(ways, axis=0) / unit / steps) ** 2).sum(axis=1)
     enough = True
     for _ in range(_ROUNDS):
-        later = _delay_at_reversals(times, speed2, unit, reversals, jerk2)
-        lasts = (720.0 * first2 / jerk2) ** (1.0 / 6.0)
-        later[0] += max(0.0, lasts - float(steps[0, 0]))
-        if not later.any():
+        delay_s = _delay_at_reversals(times, speed2, unit, reversals, jerk2)
+        takes_s = _take_up_time(first2, jerk2)
+        delay_s[0] += max(0.0, takes_s - float(steps[0, 0]))
+        if not delay_s.any():
             return times
-        over = float(later.sum()) / allowed_s
-        slow = np.append(times[0], times[1:] + np.cumsum(later / max(over, 1.0)))
+        over = float(delay_s.sum()) / allowed_s
+        slow = np.append(times[0], times[1:] + np.cumsum(delay_s / max(over, 1.0)))
         enough &= over <= 1.0
         if over > 1.0:
             jerk2 *= over**_STEEP
@@ -208,12 +219,9 @@ def slow_down(
     return slow
 
 
-_ROUNDS, _STEEP = 4, 4.0
-"""Delays fall with the fourth to sixth root of the squared jerk that is allowed for them, so few
-rounds find it. With an exponent of 4 they approach the permitted time from above."""
-_ALONE, _NEAR = 2.0, 0.02
-"""Exponent of the reduction of the allowed squared jerk: 2, because half of the jerk is the plan's
-own. And the share by which the squared jerk may exceed the plan's."""
+def _take_up_time(square: float, jerk2: float) -> float:
+    """Return the time T, s, of a take-up by the formula above, for w^2 (`square`) and j^2."""
+    return float((720.0 * square / jerk2) ** (1.0 / 6.0))
 
 
 def _delay_at_reversals(
@@ -225,30 +233,25 @@ def _delay_at_reversals(
         speed2: (k - 1,) squared speed of the joints in each step, in `unit` per second.
         jerk2: mean squared jerk that is allowed, as j^2 in the formulas above.
     """
-    later = np.zeros(len(times) - 1)
+    delay_s = np.zeros(len(times) - 1)
     for joint, first, last, crossed in reversals:
         near_s = times[last] - times[first]
-        lasts = (720.0 * (crossed / unit[joint]) ** 2 / jerk2) ** (1.0 / 6.0)
-        if last == 1 or lasts <= near_s:  # in the first step nothing moves yet
+        takes_s = _take_up_time((crossed / unit[joint]) ** 2, jerk2)
+        if last == 1 or takes_s <= near_s:  # in the first step nothing moves yet
             continue
-        share = 1.0 - near_s / lasts
+        share = 1.0 - near_s / takes_s
         away, reaches_s = times - 0.5 * (times[first] + times[last]), 0.5 * near_s
         for _ in range(_ROUNDS):  # how fast it is there depends on how long it takes
             there = np.abs(away[1:] + away[:-1]) <= 2.0 * reaches_s
             there[first:last] = True
-            fast2 = max(speed2[there].mean(), speed2[first:last].mean())
-            change_s = (14.4 * share * fast2 / jerk2) ** 0.25
+            nearby2 = max(speed2[there].mean(), speed2[first:last].mean())
+            change_s = (14.4 * share * nearby2 / jerk2) ** 0.25
             reaches_s = 0.5 * near_s + change_s * (1.0 - 0.5 * share)
         # Planned and real times after the middle of the reversal: slow, then as planned again
-        slow_s = change_s * _SHARE
-        fast_s = (1.0 - share) * slow_s + share * change_s * (_SHARE**3 - 0.5 * _SHARE**4)
+        slow_s = change_s * _PART
+        fast_s = (1.0 - share) * slow_s + share * change_s * (_PART**3 - 0.5 * _PART**4)
         planned = np.append(0.0, 0.5 * near_s + fast_s)
-        real = np.append(0.0, 0.5 * lasts + slow_s)
-        gained = np.sign(away) * np.interp(np.abs(away), planned, real - planned)
-        later += np.diff(gained) ** _TOGETHER
-    return np.asarray(later ** (1.0 / _TOGETHER))
-
-
-_TOGETHER = 3
-"""Exponent of a smooth maximum: reversals that overlap in time share the longest delay."""
-_SHARE = np.linspace(0.0, 1.0, 129)
+        real = np.append(0.0, 0.5 * takes_s + slow_s)
+        lost_s = np.sign(away) * np.interp(np.abs(away), planned, real - planned)
+        delay_s += np.diff(lost_s) ** _TOGETHER
+    return np.asarray(delay_s ** (1.0 / _TOGETHER))

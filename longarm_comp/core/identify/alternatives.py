@@ -56,12 +56,12 @@ def weigh_alternatives(
             for c in (_Change(stays), *changes)
             if e.chance * c.chance >= UNLIKELY
         ]
-    still = {t.key for t in fit.model.terms if not slots_of(fit.model.arm, [t])}
+    fixed = {t.key for t in fit.model.terms if not slots_of(fit.model.arm, [t])}
     others = sorted((e for e in every if e.gone or e.terms), key=lambda e: -e.chance)
     shown = [
         e
         for e in others
-        if still.isdisjoint(e.gone) and all(slots_of(fit.model.arm, [t]) for t in e.terms)
+        if fixed.isdisjoint(e.gone) and all(slots_of(fit.model.arm, [t]) for t in e.terms)
     ]
     kept = shown[:MOST]
     share = sum(e.chance for e in shown) / (sum(e.chance for e in kept) or 1.0)
@@ -77,7 +77,7 @@ def _changes_of(found: FoundEffect, every: Sequence[FoundEffect]) -> Iterator[_C
     yield _Change(1.0 - found.presence, own)
     odds = [math.exp(value) for _, value in found.otherwise]
     for (candidate, _), each in zip(found.otherwise, odds, strict=True):
-        share = found.presence * found.chance * each / (1.0 + sum(odds))
+        share = found.presence * found.cause.probability * each / (1.0 + sum(odds))
         yield _Change(share, own, candidate.terms)
     for rival in found.rivals:
         same = () if rival.unnamed else [f for f in every if f.name == rival.name]

@@ -104,7 +104,7 @@ def best_forms(tried: Sequence[SmallestSize]) -> dict[Label, SmallestSize]:
 
 
 def judge_candidates(
-    search: ExplainedSession,
+    explained: ExplainedSession,
     findings: Sequence[Finding],
     written: Collection[tuple[str, str]],
     tried: Sequence[SmallestSize],
@@ -113,7 +113,7 @@ def judge_candidates(
     """Judge every candidate: one record per effect and place, best first, the untestable last.
 
     Args:
-        search: the explained session. Each of its effects is judged, at its place, against the
+        explained: the explained session. Each of its effects is judged, at its place, against the
             model without that effect.
         findings: the named effects that were found.
         written: keys of the terms of the model to use.
@@ -121,11 +121,11 @@ def judge_candidates(
         not_testable: (effect, reason) of the candidates that could not be tested.
     """
     states: dict[Label, tuple[float, State, str]] = {}
-    columns = FitColumns(search.fit)
-    for term in search.chosen_terms:
+    columns = FitColumns(explained.fit)
+    for term in explained.chosen_terms:
         single = Candidate(term.name, (term,))
         rest = columns.marginal_without({term.key})
-        gain = float(evidence_of_each(search.fit, rest, [single])[0])
+        gain = float(evidence_of_each(explained.fit, rest, [single])[0])
         facts = (f"{k} {v:g}" if isinstance(v, float) else f"{k} {v}" for k, v in single.form)
         form = f", {', '.join(facts)}" if single.form else ""
         why = f"log Bayes factor {gain:.1f} on top of the rest{form}"
@@ -134,7 +134,7 @@ def judge_candidates(
             state, why = "rejected", f"{why}; a command is expected to err less without it"
         states[term.name, term.where] = gain, state, why
     for at, one in best_forms(tried).items():
-        states[at] = one.log_bayes_factor, *_judge_unused(search.needed_evidence, findings, one)
+        states[at] = one.log_bayes_factor, *_judge_unused(explained.needed_evidence, findings, one)
     ordered = sorted(states.items(), key=lambda item: (-item[1][0], *item[0]))
     made = [
         TriedCandidate(effect=name, where=where, log_bayes_factor=factor, state=state, why=why)

@@ -22,7 +22,7 @@ from longarm_comp.core.effects.catalogue import through_others
 from longarm_comp.core.effects.effect import Bias, Effect
 from longarm_comp.core.identify.diagnosis import Diagnosis
 from longarm_comp.core.identify.discover.causes import list_causes, propose_poses
-from longarm_comp.core.identify.findings import complete_findings, make_findings
+from longarm_comp.core.identify.findings import make_findings
 from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
@@ -90,7 +90,7 @@ def diagnose(
     if length:
         candidates, train = set_run_up(candidates, length), with_run_ups(train, arm, length)
         test = None if test is None else with_run_ups(test, arm, length)
-    found = explain_session(
+    explained = explain_session(
         start,
         train,
         candidates,
@@ -100,54 +100,55 @@ def diagnose(
         progress=say,
     )
     say("held-out rows")
-    proved = prove_written(nominal, staged, found, test, seed)
+    proved = prove_written(nominal, staged, explained, test, seed)
     say("structure")
-    tolerated = tolerance_columns(found.fit, found.candidates, found.found, found.tolerance)
-    structure = find_structure(found.fit, proved.fits[CALIBRATED], tolerated)
-    structure = with_scatter(with_left_out(structure, found.fit), found.fit)
+    tolerated = tolerance_columns(
+        explained.fit, explained.candidates, explained.found, explained.tolerance
+    )
+    structure = find_structure(explained.fit, proved.fits[CALIBRATED], tolerated)
+    structure = with_scatter(with_left_out(structure, explained.fit), explained.fit)
     structure = with_held_out(structure, proved.fullest)
     final = proved.fits[proved.written]
-    held = {t.key for t in final.model.terms}
-    added = [t for t in found.chosen_terms if t.key in held]
-    ends = compute_intervals(final, added, candidates)
-    named = make_findings(found.found)
-    named = complete_findings(named, arm, found.fit, final, ends, proved.fullest)
+    in_model = {t.key for t in final.model.terms}
+    added = [t for t in explained.chosen_terms if t.key in in_model]
+    intervals = compute_intervals(final, added, candidates)
+    findings = make_findings(explained.found, arm, explained.fit, final, intervals, proved.fullest)
     network, proof = None, proved.proof
     if structure.flag and train_network is not None and final.session.has_position.any():
         say("network")
         network, proof = proved.train_network(train_network)
     believed = mark_believed_rows(final, proved.held_out.take(proof.rows_at))
-    at = {name: error[believed] for name, error in proof.errors.items()}
+    errors = {name: error[believed] for name, error in proof.errors.items()}
     before = "the declared arm" if model is None else "the model before"
-    plainer = {"calibration": at[CALIBRATED], before: at["nominal"]}
-    aside = refuse_implausible(final, None, at[proved.written], plainer)
+    plainer = {"calibration": errors[CALIBRATED], before: errors["nominal"]}
+    set_aside = refuse_implausible(final, None, errors[proved.written], plainer)
     kept = proved.written == WITH_FUNCTIONS
-    without_name = list_causes(found.fit, found.found, proof.rows, kept)
-    unnamed = [t for cause in without_name for t in cause.effects]
+    causes = list_causes(explained.fit, explained.found, proof.rows, kept)
+    unnamed = [t for cause in causes for t in cause.effects]
     say("next poses")
     split_by = tuple(
-        choose_splitting_poses(found.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
-        for f in named
+        choose_splitting_poses(explained.fit, f.candidate, f.alternatives[0].candidate, POSES, seed)
+        for f in findings
         if f.alternatives
     )
     diagnosis = Diagnosis(
-        **{**vars(proved), "proof": proof},
+        **vars(dataclasses.replace(proved, proof=proof)),
         arm=arm,
         model_given=model is not None,
-        findings=named,
-        causes=without_name,
-        intervals=ends,
+        findings=findings,
+        causes=causes,
+        intervals=intervals,
         structure=structure,
-        set_aside=aside,
+        set_aside=set_aside,
         network=network,
         split_by=split_by,
-        next_q=propose_poses(found.fit, unnamed, POSES, seed),
+        next_q=propose_poses(explained.fit, unnamed, POSES, seed),
         not_testable=offered.not_testable,
         train=train,
         seed=seed,
     )
     if diagnosis.verdict == "noise":
-        check_noise(found.noise.sigma, train)
+        check_noise(explained.noise.sigma, train)
     return diagnosis
 
 

@@ -88,9 +88,9 @@ class Diagnosis(ProvedModels):
         the start of the session.
         """
         fitted = self.fits[self.written]
-        seen = [f for f in self.search.found if isinstance(f.terms[0], Bias)]
+        seen = [f for f in self.explained.found if isinstance(f.terms[0], Bias)]
         drifts = (f for f in seen if any(CLOCK in t.inputs for t in f.terms))
-        if not all(f.presence * f.chance_seen >= CREDIBLE for f in drifts):
+        if not all(f.presence * f.chance_bias >= CREDIBLE for f in drifts):
             return fitted
         model = in_frame_of_start(fitted.model, fitted.session)
         if model is fitted.model:
@@ -123,24 +123,24 @@ class Diagnosis(ProvedModels):
     @cached_property
     def none_of_these(self) -> float:
         """Probability that a cause is needed that has no name in the library."""
-        found = (*self.search.found, *self.search.doubtful)
+        found = (*self.explained.found, *self.explained.doubtful)
         none = (1.0 - f.presence * f.chance_unnamed for f in found)
         return 1.0 - math.prod(none) * (1.0 - self.structure.chance)
 
     @cached_property
     def smallest(self) -> tuple[SmallestSize, ...]:
         """Evidence and smallest visible size of every candidate that is not in the model."""
-        held = {t.key for t in self.search.chosen_terms}
-        library = self.search.candidates
+        held = {t.key for t in self.explained.chosen_terms}
+        library = self.explained.candidates
         outside = [c for c in library if held.isdisjoint(t.key for t in c.terms)]
-        return find_smallest_sizes(self.search.fit, outside, self.search.needed_evidence)
+        return find_smallest_sizes(self.explained.fit, outside, self.explained.needed_evidence)
 
     @cached_property
     def candidates(self) -> list[TriedCandidate]:
         """Every candidate with its state, the best first, those that cannot be tested last."""
         written = {t.key for t in self.model.terms}
         return judge_candidates(
-            self.search, self.findings, written, self.smallest, self.not_testable
+            self.explained, self.findings, written, self.smallest, self.not_testable
         )
 
     @property
@@ -198,12 +198,12 @@ class Diagnosis(ProvedModels):
     @property
     def summary(self) -> str:
         """The verdict in one sentence, the doubtful effects, and what the rows cannot show."""
-        gone = "; ".join(
+        doubtful = "; ".join(
             f"{f.name} at {', '.join(dict.fromkeys(t.where for t in f.terms))}"
             f" ({100 * f.presence:.0f} % probable)"
-            for f in self.search.doubtful
+            for f in self.explained.doubtful
         )
-        doubt = f"In doubt, and not added: {gone}." if gone else ""
+        doubt = f"In doubt, and not added: {doubtful}." if doubtful else ""
         said = (_describe_findings(self), doubt, describe_unshown(self.arm, self.fit.session))
         return in_names(" ".join(filter(None, said)), self.arm.names_for_people)
 
@@ -220,7 +220,7 @@ def _describe_findings(found: Diagnosis) -> str:
     if found.verdict == "noise":
         rows, aside = len(found.fit.session), len(found.set_aside.rows)
         noise = "only noise is left" + (f" in {rows - aside} of {rows} rows" if aside else "")
-        if found.search.tolerance.compliance and found.written != CALIBRATED:
+        if found.explained.tolerance.compliance and found.written != CALIBRATED:
             text = "Every part of the arm is a little off; the model now holds this. "
             return f"{text}Beyond it {noise}. {gain}."
         return f"After calibration {noise}; no effect was added. {gain} by the calibration."

@@ -5,7 +5,7 @@ line print it.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -19,12 +19,14 @@ from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.units import for_people
 from longarm_comp.core.identify.gains import Gain, compute_gains, measure_tip_shift
 from longarm_comp.core.identify.intervals import Interval
-from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import CREDIBLE, FoundEffect, PossibleCause, keys_of
 from longarm_comp.core.identify.structure import Structure
 from longarm_comp.core.yaml_file import Closed
 
 Pair = tuple[float, float]
 
+MOST_VALUES = 4
+"""Largest number of values in a sentence; report.json has all."""
 UNWEIGHED = "arm.yaml declares no weight, so which part yields is not sure"
 """The doubt about an elastic finding if the loads are not known."""
 
@@ -152,7 +154,7 @@ class Finding(ReportPart):
         return _weigh_names(self.parts)
 
     @property
-    def alternatives(self) -> tuple[Rival, ...]:
+    def alternatives(self) -> tuple[PossibleCause, ...]:
         """The other names of the credible set, the most probable first."""
         return tuple(r for r in _list_rivals(self.parts) if r.name in self.names)
 
@@ -162,49 +164,103 @@ class Finding(ReportPart):
         return _list_partial_aliases(self.parts)
 
 
-def make_findings(found: Sequence[FoundEffect]) -> tuple[Finding, ...]:
+def make_findings(
+    found: Sequence[FoundEffect],
+    arm: Arm,
+    fit: ModelFit,
+    written: ModelFit,
+    intervals: Mapping[int, Interval],
+    held_out: Sequence[tuple[ModelFit, Session]],
+) -> tuple[Finding, ...]:
     """Make one finding of all found effects of one name, the strongest first.
 
     Functions without a name make none.  The set of a finding holds the names that may be true at
     all of its places. A name that may be true at some places only is a partial alias.
-    `complete_findings` adds the values and the size at the tip.
+
+    Args:
+        found: the found effects.
+        arm: the declared arm.
+        fit: the final fit of all that was found.
+        written: the fit of the model to use.
+        intervals: intervals of its parameters, by position in its slots.
+        held_out: fits of the fullest model without some rows, and these rows.
     """
-    names = dict.fromkeys(f.name for f in found if not f.unnamed)
-    made = [_make_finding(name, [f for f in found if f.name == name]) for name in names]
-    return tuple(sorted(made, key=lambda f: -f.log_bayes_factor))
+    by_name: dict[str, list[FoundEffect]] = {}
+    for f in found:
+        if not f.unnamed:
+            by_name.setdefault(f.name, []).append(f)
+    each = sorted(by_name.values(), key=lambda parts: -sum(f.log_bayes_factor for f in parts))
+    known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
+    in_model = {t.key for t in written.model.terms}
+    weighed = not any(effect.through_others for effect in fit.model.effects)
+    made = []
+    for parts, (seen, commanded) in zip(
+        each, compute_gains(held_out, [keys_of(parts) for parts in each]), strict=True
+    ):
+        places, terms = keys_of(parts), [t for f in parts for t in f.terms]
+        left_out = in_model.isdisjoint(places)
+        names, unnamed, runner_up = _name_finding(parts)
+        doubts = [f"{p.name} could stand for its {p.part}" for p in _list_partial_aliases(parts)]
+        if not weighed and any(t.elastic for t in terms):
+            doubts.append(UNWEIGHED)
+        tip_mm = 1e3 * measure_tip_shift(fit, places)
+        finding = Finding(
+            effect=names[0],
+            title=terms[0].heading(),
+            reading="; ".join(dict.fromkeys(t.reading for t in terms if t.reading)),
+            set=names,
+            probability=1.0 - math.prod(1.0 - f.presence for f in parts),
+            set_probability={n: p for n, p in _weigh_names(parts) if n in names},
+            unnamed=unnamed,
+            where=tuple(dict.fromkeys(t.where for t in terms)),
+            log_bayes_factor=sum(f.log_bayes_factor for f in parts),
+            parameters=tuple(_list_parameters(fit, places, known, left_out)),
+            runner_up=runner_up,
+            compensated=all(t.commandable for t in terms) and not left_out,
+            tip_mm=TipSize(median=float(np.median(tip_mm)), max=float(tip_mm.max())),
+            seen_mm=(1e3 * seen.before, 1e3 * seen.after),
+            commanded_mm=(1e3 * commanded.before, 1e3 * commanded.after),
+            doubts=tuple(doubts),
+            action=terms[0].advice(arm),
+        )
+        # Fields that are not in report.json cannot be given to its parser
+        made.append(finding.model_copy(update={"parts": tuple(parts), "left_out": left_out}))
+    return tuple(made)
 
 
-def _make_finding(name: str, parts: Sequence[FoundEffect]) -> Finding:
-    terms = [t for f in parts for t in f.terms]
+def _name_finding(parts: Sequence[FoundEffect]) -> tuple[tuple[str, ...], str, RunnerUp | None]:
+    """Return the set of names, the reason why none of them may be true, and the runner-up."""
     rivals, every = _list_rivals(parts), set.intersection(*(set(f.credible) for f in parts))
-    named = [r for r in rivals if not r.unnamed]
-    unnamed = next((r for r in rivals if r.unnamed), None)
-    other = ""
-    if unnamed is not None and unnamed.name in every:
-        places = ", ".join(dict.fromkeys(t.place for t in unnamed.candidate.terms))
+    named, other = [r for r in rivals if not r.unnamed], ""
+    function = next((r for r in rivals if r.unnamed), None)
+    if function is not None and function.name in every:
+        places = ", ".join(dict.fromkeys(t.place for t in function.candidate.terms))
         other = f"a function without a name explains as much ({places})"
-    names = (name, *(r.name for r in named if r.name in every))
     runner = None
     if named:
         runner = RunnerUp(effect=named[0].name, log_bayes_factor=named[0].log_bayes_factor)
-    made = Finding(
-        effect=name,
-        title=terms[0].heading(),
-        reading="; ".join(dict.fromkeys(t.reading for t in terms if t.reading)),
-        set=names,
-        probability=1.0 - math.prod(1.0 - f.presence for f in parts),
-        set_probability={n: p for n, p in _weigh_names(parts) if n in names},
-        unnamed=other,
-        where=tuple(dict.fromkeys(t.where for t in terms)),
-        log_bayes_factor=sum(f.log_bayes_factor for f in parts),
-        parameters=(),
-        runner_up=runner,
-        compensated=all(t.commandable for t in terms),
-        doubts=tuple(
-            f"{p.name} could stand for its {p.part}" for p in _list_partial_aliases(parts)
-        ),
-    )
-    return made.model_copy(update={"parts": tuple(parts)})
+    return (parts[0].name, *(r.name for r in named if r.name in every)), other, runner
+
+
+def _list_parameters(
+    fit: ModelFit,
+    places: Collection[tuple[str, str]],
+    known: Mapping[tuple[str, str, str], Interval],
+    left_out: bool,
+) -> Iterator[FindingParameter]:
+    """Yield the parameters at some places, with their known intervals by key and name."""
+    for slot in fit.slots:
+        if slot.owner.key in places:
+            bare = Interval(slot.value, slot.value, slot.value)
+            ends = known.get((*slot.owner.key, slot.parameter.name), bare)
+            yield FindingParameter(
+                name=slot.parameter.name,
+                where=slot.owner.where,
+                value=ends.value,
+                unit=slot.parameter.unit,
+                ci95=None if ends.at_bound or left_out else (ends.low, ends.high),
+                prior_scale=slot.parameter.prior,
+            )
 
 
 def _weigh_names(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
@@ -217,14 +273,14 @@ def _weigh_names(parts: Sequence[FoundEffect]) -> tuple[tuple[str, float], ...]:
     return tuple(sorted(chances.items(), key=lambda c: -c[1]))
 
 
-def _list_rivals(parts: Sequence[FoundEffect]) -> list[Rival]:
+def _list_rivals(parts: Sequence[FoundEffect]) -> list[PossibleCause]:
     """Return the rivals of all parts, one per name, the most probable first.
 
     Its terms are those in the place of every part that has it, because poses that decide between
     two names must decide at all places.  So its evidence lacks what it loses at all these places.
     """
     size, chances = sum(f.log_bayes_factor for f in parts), dict(_weigh_names(parts))
-    rivals: dict[str, Rival] = {}
+    rivals: dict[str, PossibleCause] = {}
     for f in parts:
         for rival in f.rivals:
             loss = f.log_bayes_factor - rival.log_bayes_factor
@@ -248,69 +304,6 @@ def _list_partial_aliases(parts: Sequence[FoundEffect]) -> tuple[PartialAlias, .
     )
 
 
-def complete_findings(
-    found: Sequence[Finding],
-    arm: Arm,
-    fit: ModelFit,
-    written: ModelFit,
-    intervals: Mapping[int, Interval],
-    held_out: Sequence[tuple[ModelFit, Session]],
-) -> tuple[Finding, ...]:
-    """Return findings with their values, size at the tip and gain on held-out rows.
-
-    Args:
-        found: the findings of `make_findings`.
-        arm: the declared arm.
-        fit: the final fit of all that was found.
-        written: the fit of the model to use.
-        intervals: intervals of its parameters, by position in its slots.
-        held_out: fits of the fullest model without some rows, and these rows.
-    """
-    known = {(*s.owner.key, s.parameter.name): intervals[k] for k, s in enumerate(written.slots)}
-    in_model = {t.key for t in written.model.terms}
-    weighed = not any(effect.through_others for effect in fit.model.effects)
-    each = [{t.key for t in finding.terms} for finding in found]
-    made = []
-    for finding, places, (seen, commanded) in zip(
-        found, each, compute_gains(held_out, each), strict=True
-    ):
-        open_place = not weighed and any(t.elastic for t in finding.terms)
-        left_out = in_model.isdisjoint(places)
-        parameters = []
-        for slot in fit.slots:
-            if slot.owner.key not in places:
-                continue
-            bare = Interval(slot.value, slot.value, slot.value)
-            ends = known.get((*slot.owner.key, slot.parameter.name), bare)
-            parameters.append(
-                FindingParameter(
-                    name=slot.parameter.name,
-                    where=slot.owner.where,
-                    value=ends.value,
-                    unit=slot.parameter.unit,
-                    ci95=None if ends.at_bound or left_out else (ends.low, ends.high),
-                    prior_scale=slot.parameter.prior,
-                )
-            )
-        tip_mm = 1e3 * measure_tip_shift(fit, places)
-        values = {
-            "parameters": tuple(parameters),
-            "compensated": finding.compensated and not left_out,
-            "tip_mm": TipSize(median=float(np.median(tip_mm)), max=float(tip_mm.max())),
-            "seen_mm": (1e3 * seen.before, 1e3 * seen.after),
-            "commanded_mm": (1e3 * commanded.before, 1e3 * commanded.after),
-            "action": finding.terms[0].advice(arm),
-            "left_out": left_out,
-            "doubts": (*finding.doubts, *((UNWEIGHED,) if open_place else ())),
-        }
-        made.append(finding.model_copy(update=values))
-    return tuple(made)
-
-
-_MOST = 4
-"""Largest number of values in a sentence; report.json has all."""
-
-
 def describe_finding(finding: Finding) -> str:
     """Describe a finding in words: names, places, values with intervals, runner-up, doubts."""
     values = []
@@ -324,7 +317,7 @@ def describe_finding(finding: Finding) -> str:
         values.append(f"{p.where} {p.name} {shown}")
     if not values:
         values = [", ".join(finding.where)]
-    listed = f"{', '.join(values[:_MOST])}{', ...' if len(values) > _MOST else ''}"
+    listed = f"{', '.join(values[:MOST_VALUES])}{', ...' if len(values) > MOST_VALUES else ''}"
     said = "; ".join(filter(None, (listed, finding.reading)))
     other = ""
     if finding.runner_up is not None and len(finding.names) == 1:

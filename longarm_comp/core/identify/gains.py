@@ -49,32 +49,32 @@ class Gain:
         return cls.of_lengths(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1), fold)
 
     @classmethod
-    def of_lengths(cls, long: np.ndarray, short: np.ndarray, fold: np.ndarray) -> Gain:
+    def of_lengths(cls, before: np.ndarray, after: np.ndarray, fold: np.ndarray) -> Gain:
         """Compute the gain from the (M,) lengths of the errors of two models on the same rows.
 
-        The lengths are `long` before and `short` after, m; `fold` (M,) numbers the folds.
+        The lengths are `before` and `after`, m; `fold` (M,) numbers the folds.
         """
-        if not len(long):
+        if not len(before):
             return cls(0.0, 0.0, (0.0, 0.0))
-        before, after = float(long.mean()), float(short.mean())
-        middle, off = before - after, long - short
-        block = np.arange(len(off)) * min(BLOCKS, len(off)) // len(off)
-        half = max(_half_interval(off - middle, each) for each in (block, fold))
-        if len(off) == 1:  # it leaves everything possible
-            half = before + after
-        return cls(before, after, (middle - half, middle + half))
+        means, rows = (float(before.mean()), float(after.mean())), len(before)
+        gain = means[0] - means[1]
+        block = np.arange(rows) * min(BLOCKS, rows) // rows
+        half = max(_half_interval(before - after - gain, each) for each in (block, fold))
+        if rows == 1:  # it leaves everything possible
+            half = sum(means)
+        return cls(*means, (gain - half, gain + half))
 
 
-def _half_interval(off: np.ndarray, cluster: np.ndarray) -> float:
+def _half_interval(deviation: np.ndarray, cluster: np.ndarray) -> float:
     """Return half of the 95 % interval of a mean by the scatter of clusters; 0 if there is one.
 
-    `off` (M,) are the values minus their mean, `cluster` (M,) the numbers of their clusters.
+    `deviation` (M,) are the values minus their mean, `cluster` (M,) the numbers of their clusters.
     """
     names, at = np.unique(cluster, return_inverse=True)
     free = len(names) - 1
     if not free:
         return 0.0
-    sums = np.bincount(at, off) / len(off)
+    sums = np.bincount(at, deviation) / len(deviation)
     return float(stdtrit(free, 0.975) * np.sqrt((sums**2).sum() * len(names) / free))
 
 
@@ -138,10 +138,11 @@ def refit_without(fitted: ModelFit, places: set[tuple[str, str]]) -> Model:
     Background effects keep their values; otherwise they would replace the terms that are left out.
     """
     shares = dict(fitted.model.beyond)
-    little = {s.owner.key for s in fitted.slots if shares.get(s.identity, 1.0) < 1.0} - places
-    marginal = FitColumns(fitted).marginal_without(places, still=little)
+    background = {s.owner.key for s in fitted.slots if shares.get(s.identity, 1.0) < 1.0} - places
+    marginal = FitColumns(fitted).marginal_without(places, still=background)
     left = fitted.model.without(places)
-    free = np.array([not s.owner.through_others and s.owner.key not in little for s in left.slots])
+    owners = [s.owner for s in left.slots]
+    free = np.array([not o.through_others and o.key not in background for o in owners])
     kept = tuple(compress(left.slots, free))
     values = np.array(left.values, dtype=float)
     found = linear.solve_posterior(marginal.a, marginal.y, *prior_bounds(kept))

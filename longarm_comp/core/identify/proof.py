@@ -74,7 +74,7 @@ class Proof:
         return {name: Errors.of(error, self.turned[name]) for name, error in self.errors.items()}
 
     @property
-    def turns(self) -> dict[str, np.ndarray]:
+    def turn_sizes(self) -> dict[str, np.ndarray]:
         """Size (K,) of each error of the orientation, rad, by model name."""
         return {name: np.linalg.norm(error, axis=1) for name, error in self.turned.items()}
 
@@ -87,14 +87,14 @@ class Proof:
         explains. The mean of the squared errors as seen and as commanded is taken. The weight of
         the former is the probability that all biases found in the fullest model are really biases.
         """
-        ours = 1.0
+        all_true = 1.0
         for f in found:
             if isinstance(f.terms[0], Bias):
-                ours *= f.presence * f.chance_seen
+                all_true *= f.presence * f.chance_bias
         made = {}
         for name in names:
             seen, commanded = ((e[name] ** 2).sum(1) for e in (self.errors, self.commanded))
-            made[name] = np.sqrt(ours * seen + (1.0 - ours) * commanded)
+            made[name] = np.sqrt(all_true * seen + (1.0 - all_true) * commanded)
         return made
 
 
@@ -120,34 +120,34 @@ def describe_worsening(
 
 
 def prove_models(
-    made: Sequence[Fold], learned: Callable[[Fold], tuple[Model, Predictor]] | None = None
+    folds: Sequence[Fold], train: Callable[[Fold], tuple[Model, Predictor]] | None = None
 ) -> Proof:
     """Compute the errors of every model at the rows that it was fitted without, in their order.
 
     Args:
-        made: the folds.
-        learned: returns for a fold a model and a predictor that was trained without its rows.
+        folds: the folds.
+        train: returns for a fold a model and a predictor that was trained without its rows.
             Outside the predictor's domain the model alone predicts. None: no network is proved.
     """
     seen, commanded, turned = (defaultdict[str, list[np.ndarray]](list) for _ in range(3))
-    for fold in made:
-        placed, bent = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.has_orientation))
+    for fold in folds:
+        placed, turning = (fold.rows.take(m) for m in (fold.rows.placed, fold.rows.has_orientation))
         predictions = [(name, model, np.zeros(3)) for name, model in fold.models.items()]
-        if learned is not None:
-            model, network = learned(fold)
+        if train is not None:
+            model, network = train(fold)
             expected = network.predict(placed.q, placed.context())
             known = (expected.in_domain & placed.has_position)[:, None]
             predictions.append((NETWORK, model, np.where(known, expected.error, 0.0)))
         for name, model, error in predictions:
             seen[name].append(compute_tip_errors(model, placed) - error)
             commanded[name].append(commanded_errors(model, placed) - error)
-            turned[name].append(compute_turn_errors(model, bent))
-    held = np.sort(np.concatenate([f.numbers for f in made]))
+            turned[name].append(compute_turn_errors(model, turning))
+    held = np.sort(np.concatenate([f.numbers for f in folds]))
     (rows_at, of_fold), (turned_at, of_turned) = (
-        (np.concatenate(each), np.repeat(np.arange(len(made)), [*map(len, each)]))
+        (np.concatenate(each), np.repeat(np.arange(len(folds)), [*map(len, each)]))
         for each in (
-            [f.numbers[f.rows.placed] for f in made],
-            [f.numbers[f.rows.has_orientation] for f in made],
+            [f.numbers[f.rows.placed] for f in folds],
+            [f.numbers[f.rows.has_orientation] for f in folds],
         )
     )
     order, turns = np.argsort(rows_at), np.argsort(turned_at)

@@ -36,7 +36,7 @@ class ProvedModels:
     """Models that may be written, with the proof of each and the choice among them.
 
     Attributes:
-        search: the search that found the effects.
+        explained: the explained session with the effects that were found.
         fits: fits of the models calibrated, with_effects and (if there are functions)
             with_functions, by name, to the same rows with the same noise.
         models: nominal, frames_only and the models of `fits`, as files hold them.
@@ -49,7 +49,7 @@ class ProvedModels:
         failed: how a fuller model failed its proof; empty if none did.
     """
 
-    search: ExplainedSession
+    explained: ExplainedSession
     fits: Mapping[str, ModelFit]
     models: Mapping[str, Model]
     held_out: Session
@@ -90,7 +90,7 @@ class ProvedModels:
         proof = prove_models(self.folds, train_on_fold)
         names = (self.written, NETWORK)
         seen = {name: np.linalg.norm(proof.errors[name], axis=1) for name in names}
-        expected = proof.expected_errors(self.search.found, names)
+        expected = proof.expected_errors(self.explained.found, names)
         written, _ = choose_written(expected, seen, proof.fold)
         return (network, proof) if written == NETWORK else (None, self.proof)
 
@@ -98,7 +98,7 @@ class ProvedModels:
 def prove_written(
     nominal: Model,
     staged: Mapping[str, ModelFit],
-    search: ExplainedSession,
+    explained: ExplainedSession,
     test: Session | None,
     seed: int,
 ) -> ProvedModels:
@@ -107,38 +107,38 @@ def prove_written(
     Args:
         nominal: the model before.
         staged: fits of its placements (``frames_only``) and of its geometry (``geometry``).
-        search: the search that found the effects.
+        explained: the explained session with the effects that were found.
         test: the held-out rows; None: every fitted row is held out once, in folds.
         seed: seed of the folds.
 
     Raises:
         JobError: a fit to a part of the rows diverged.
     """
-    fits = _fit_written_models(staged["geometry"].model, search)
+    fits = _fit_written_models(staged["geometry"].model, explained)
     frames_only = staged["frames_only"].model
     folded = {name: fold_directions(fitted) for name, fitted in fits.items()}
     models = {
-        "nominal": place_as_seen(nominal, search.fit.session)[0],
+        "nominal": place_as_seen(nominal, explained.fit.session)[0],
         "frames_only": frames_only,
         **{name: fitted.model for name, fitted in folded.items()},
     }
     if test is None:
-        held_out, folds = _fit_folds(nominal, frames_only, fits, search, seed)
+        held_out, folds = _fit_folds(nominal, frames_only, fits, explained, seed)
     else:
         held_out = test.take(test.seen)
         folds = (Fold(models, fits, held_out, np.arange(len(held_out))),)
     proof = prove_models(folds)
     bare = fits[CALIBRATED]  # the same fit is no second model, whatever the folds added
     offered = [name for name in fits if name == CALIBRATED or fits[name] is not bare]
-    expected = proof.expected_errors(search.found, offered)
+    expected = proof.expected_errors(explained.found, offered)
     seen = {name: np.linalg.norm(each, axis=1) for name, each in proof.errors.items()}
     if len(proof.rows_at):
         choice = choose_written(expected, seen, proof.fold)
     else:  # only orientations were measured
-        turns = {name: proof.turns[name] for name in offered}
+        turns = {name: proof.turn_sizes[name] for name in offered}
         choice = choose_written(turns, turns, proof.fold_of_turned, "mrad")
     means = {name: float(each.mean()) for name, each in expected.items() if len(each)}
-    return ProvedModels(search, folded, models, held_out, folds, proof, means, *choice)
+    return ProvedModels(explained, folded, models, held_out, folds, proof, means, *choice)
 
 
 def choose_written(
@@ -189,7 +189,7 @@ def _fit_folds(
     nominal: Model,
     frames_only: Model,
     fits: Mapping[str, ModelFit],
-    search: ExplainedSession,
+    explained: ExplainedSession,
     seed: int,
 ) -> tuple[Session, tuple[Fold, ...]]:
     """Fit everything anew without each fold of the rows.
@@ -199,7 +199,7 @@ def _fit_folds(
     Raises:
         JobError: a fit without some rows did not stay finite.
     """
-    session = search.fit.session
+    session = explained.fit.session
     fold = folds_of(session, seed)
     made = []
     for number in range(int(fold.max()) + 1):
@@ -209,39 +209,43 @@ def _fit_folds(
             "nominal": place_as_seen(nominal, rows)[0],
             "frames_only": fit_model(frames_only, rows, close=NEAR).model,
         }
-        again = _refit_fold(fits, search, kept)
-        models |= {name: fitted.model for name, fitted in again.items()}
-        made.append(Fold(models, again, session.take(~kept), np.flatnonzero(~kept)))
+        refitted = _refit_fold(fits, explained, kept)
+        models |= {name: fitted.model for name, fitted in refitted.items()}
+        made.append(Fold(models, refitted, session.take(~kept), np.flatnonzero(~kept)))
     return session.take(fold >= 0), tuple(made)
 
 
 def _refit_fold(
-    fits: Mapping[str, ModelFit], search: ExplainedSession, kept: np.ndarray
+    fits: Mapping[str, ModelFit], explained: ExplainedSession, kept: np.ndarray
 ) -> dict[str, ModelFit]:
     """Fit the models with the effects that a part of the rows alone would find, to this part."""
-    whole, session = search.fit, search.fit.session.take(kept)
+    whole, session = explained.fit, explained.fit.session.take(kept)
     judged = {"sigma": whole.sigma, "rho": whole.rho, "weights": whole.weights[kept]}
 
-    def again(model: Model) -> ModelFit:
+    def refit(model: Model) -> ModelFit:
         return fit_model(model, session, close=NEAR, **judged)
 
-    made = {CALIBRATED: again(fits[CALIBRATED].model)}
-    found = search.linear.explain_sample(kept.astype(float)) if search.linear is not None else ()
+    made = {CALIBRATED: refit(fits[CALIBRATED].model)}
+    found = (
+        explained.resampling.explain_sample(kept.astype(float))
+        if explained.resampling is not None
+        else ()
+    )
     sure = [f for f in found if f.presence >= CREDIBLE]
-    named = again(_replace_found(search, [f for f in sure if not f.unnamed]))
+    named = refit(_replace_found(explained, [f for f in sure if not f.unnamed]))
     made[WITH_EFFECTS] = named
     if WITH_FUNCTIONS in fits:
         more = any(f.unnamed for f in sure)
-        made[WITH_FUNCTIONS] = again(_replace_found(search, sure)) if more else named
+        made[WITH_FUNCTIONS] = refit(_replace_found(explained, sure)) if more else named
     return made
 
 
-def _replace_found(search: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
-    """Return the model of a search with the effects `found` instead of those that it found."""
-    model = search.fit.model
+def _replace_found(explained: ExplainedSession, found: Sequence[FoundEffect]) -> Model:
+    """Return the model of an explained session with the effects `found` instead of its own."""
+    model = explained.fit.model
     known = {t.variant: t for t in model.terms}
     terms = {t.key: known.get(t.variant, t) for f in found for t in f.terms}
-    gone = keys_of(search.found)
+    gone = keys_of(explained.found)
     other = model.without(gone | set(terms)).plus(*terms.values())
     small = {s.identity for s in other.slots if s.owner.key in terms}
     beyond = tuple(b for b in model.beyond if b[0] not in small)

@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.identify.discover.functions import REFINED
-from longarm_comp.core.identify.discover.inputs import DENSE
+from longarm_comp.core.identify.discover.inputs import FINE_GRID
 from longarm_comp.core.model.model import slots_of
 
 COARSEST, FINEST = 12, 5000
@@ -88,7 +88,7 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
     inner = gains[1:-1]
     peaks = 1 + np.flatnonzero((inner >= gains[:-2]) & (inner >= gains[2:]))
     first = counts[peaks[np.argsort(-gains[peaks])[:REFINED]]]
-    near = first[:, None] + np.linspace(-APART, APART, DENSE)
+    near = first[:, None] + np.linspace(-APART, APART, FINE_GRID)
     best = gain(near.reshape(-1)).reshape(near.shape).argmax(axis=1)
     return np.asarray(near[np.arange(len(near)), best])
 

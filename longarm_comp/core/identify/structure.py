@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import expit, fdtrc
@@ -110,53 +111,34 @@ def find_structure(fit: ModelFit, base: ModelFit, tolerated: np.ndarray | None =
         base: the fit of the geometry alone, to the same rows and with the same noise.
         tolerated: (m, k) whitened columns of the model tolerance, which count as no structure.
     """
-    tested = list_groups(fit)
-    design = fit.design if tolerated is None else np.concatenate([fit.design, tolerated], axis=1)
     counts = (fit.session.measured & ~mark_exact_readings(fit))[fit.weights > 0].reshape(-1)
+    design = fit.design if tolerated is None else np.concatenate([fit.design, tolerated], axis=1)
     marginal = Marginal(design * counts[:, None], fit.data * counts)
-    residual = fit.whiten_columns(fit.residual[..., None])[:, 0]
-    left = float(marginal.projected_data @ marginal.projected_data)
-    free = max(float(counts.sum()) - fit.effective, 2.0)
-    found: list[tuple[Group, float, float, np.ndarray]] = []
-    for group in tested:
-        b = fit.whiten_columns(group.columns) * counts[:, None]
-        pb = marginal.project(b)
-        gram = b.T @ pb
-        values, vectors = np.linalg.eigh((gram + gram.T) / 2)
-        good = values > 1e-6 * len(b) / fit.width
-        if not good.any():
-            continue
-        score = float(
-            (((vectors[:, good] / np.sqrt(values[good])).T @ (pb.T @ marginal.y)) ** 2).sum()
-        )
-        count = int(good.sum())
-        rest = max(left - score, 1e-9 * left) / max(free - count, 1.0)
-        chance = float(fdtrc(count, max(free - count, 1.0), score / count / rest))
-        found.append((group, chance, (score / rest - count) / math.sqrt(2.0 * count), b))
+    found = _test_groups(fit, marginal, counts)
     if not found:
         return Structure(False, 1.0, (), 0.0, 1.0)
-    found.sort(key=lambda each: (each[1], -each[2]))
-    p = min(1.0, len(found) * found[0][1])
-    likely = [each for each in found if len(found) * each[1] < SIGNIFICANT]
-    strong = [each for each in likely if each[2] > found[0][2] / 3]
-    sizes, rich = np.zeros(fit.width), residual
-    if strong:
-        b = np.concatenate([b for *_, b in strong], axis=1)
-        part = marginal.project(b) @ solve_products(*marginal.project_products(b)).u
-        sizes, rich = np.sqrt((fit.to_lengths(part) ** 2).mean(0)), residual - part
-    size, noise = float(np.linalg.norm(sizes)), fit.noise_m
+    first = found[0]
+    p = min(1.0, len(found) * first.p_value)
+    likely = [each for each in found if len(found) * each.p_value < SIGNIFICANT]
+    strong = [each for each in likely if each.strength > first.strength / 3]
+    if not strong:
+        return Structure(False, p, (), 0.0, 1.0)
+    b = np.concatenate([each.white for each in strong], axis=1)
+    part = marginal.project(b) @ solve_products(*marginal.project_products(b)).u
+    sizes, noise = np.sqrt((fit.to_lengths(part) ** 2).mean(0)), fit.noise_m
+    size = float(np.linalg.norm(sizes))
     worth = size > WORTH * float(np.linalg.norm(noise))
     worth = worth or bool((sizes > WORTH * np.sqrt(3.0) * noise)[noise > 0].any())
-    inputs = tuple(dict.fromkeys(name for group, *_ in strong for name in group.inputs))
-    if not (p < SIGNIFICANT and worth and size > smallest_that_matters(fit)):
+    if not (worth and size > smallest_that_matters(fit)):
         return Structure(False, p, (), 0.0, 1.0)
-    rss_named = float(residual @ residual)
-    white_base = fit.whiten_columns(base.residual[..., None])[:, 0]
-    rss_base = float(white_base @ white_base)
-    there = rss_base - float(rich @ rich)
-    share = 1.0 if there <= 0 else float(np.clip((rss_base - rss_named) / there, 0.0, 1.0))
-    at, chance = found[0][0].at, cause_probability(p)
-    return Structure(True, p, inputs, size, share, at, chance=chance)
+    inputs = tuple(dict.fromkeys(name for each in strong for name in each.group.inputs))
+    residual = fit.whiten_columns(fit.residual[..., None])[:, 0]
+    calibrated = fit.whiten_columns(base.residual[..., None])[:, 0]
+    before, named, rich = (float(each @ each) for each in (calibrated, residual, residual - part))
+    there = before - rich
+    share = 1.0 if there <= 0 else float(np.clip((before - named) / there, 0.0, 1.0))
+    at = first.group.at
+    return Structure(True, p, inputs, size, share, at, chance=cause_probability(p))
 
 
 def smallest_that_matters(fit: ModelFit) -> float:
@@ -179,6 +161,48 @@ class Group:
     inputs: tuple[str, ...]
     at: str
     columns: np.ndarray
+
+
+class _TestedGroup(NamedTuple):
+    """A group with the result of its F test.
+
+    Attributes:
+        strength: excess of its statistic over that of noise, in standard deviations.
+        white: (m, k) its columns in units of the noise.
+    """
+
+    group: Group
+    p_value: float
+    strength: float
+    white: np.ndarray
+
+
+def _test_groups(fit: ModelFit, marginal: Marginal, counts: np.ndarray) -> list[_TestedGroup]:
+    """Compare each group with what it leaves of the residual (F test); the surest comes first.
+
+    Args:
+        fit: the fit with all that was found.
+        marginal: its data and columns, with those of the model tolerance.
+        counts: (m,) True for each equation that counts.
+    """
+    left = float(marginal.projected_data @ marginal.projected_data)
+    free = max(float(counts.sum()) - fit.effective, 2.0)
+    tested = []
+    for group in list_groups(fit):
+        b = fit.whiten_columns(group.columns) * counts[:, None]
+        pb = marginal.project(b)
+        gram = b.T @ pb
+        values, vectors = np.linalg.eigh((gram + gram.T) / 2)
+        good = values > 1e-6 * len(b) / fit.width
+        if not good.any():
+            continue
+        along = (vectors[:, good] / np.sqrt(values[good])).T @ (pb.T @ marginal.y)
+        score, count = float((along**2).sum()), int(good.sum())
+        rest = max(left - score, 1e-9 * left) / max(free - count, 1.0)
+        p_value = float(fdtrc(count, max(free - count, 1.0), score / count / rest))
+        strength = (score / rest - count) / math.sqrt(2 * count)
+        tested.append(_TestedGroup(group, p_value, strength, b))
+    return sorted(tested, key=lambda each: (each.p_value, -each.strength))
 
 
 def list_groups(fit: ModelFit) -> list[Group]:

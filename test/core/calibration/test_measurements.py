@@ -239,7 +239,7 @@ def test_orientations_alone_name_an_effect_and_prove_it_by_turns() -> None:
         (found,) = made.findings
         assert (found.name, found.seen_mm) == ("joint_gain", (0.0, 0.0))
         assert (made.written, made.failed, made.expected) == ("with_effects", "", {})
-        turns = made.proof.turns
+        turns = made.proof.turn_sizes
         assert turns["with_effects"].mean() < 0.2 * turns["calibrated"].mean()
 
 

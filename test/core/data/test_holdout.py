@@ -78,7 +78,7 @@ def test_what_explains_half_of_the_rows_is_tried_on_all(monkeypatch: pytest.Monk
     useless = Discovered("joint 1", "turn z", "linear(q3)", "q3 -1.0..1.0")
     search = ExplanationSearch(Model(ARM), rows, [], None, (), lambda _: None, nameless=True)
     first = search.fit_geometry()
-    poor = search.fit_with(first, (FoundEffect((useless,), 1.0, 0.0),))
+    poor = search.fit_with(first, (FoundEffect.of((useless,), 1.0, 0.0),))
     assert poor is not None
     rows_of, explain = [], ExplanationSearch.repeat_until_best
 

@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,7 +24,7 @@ from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
 from longarm_comp.core.effects.slow_changes import ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify.alternatives import MOST, weigh_alternatives
-from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, PossibleCause
 from longarm_comp.core.identify.posterior.offer import UNLIKELY
 from longarm_comp.core.model.by_readings import by_readings
 from longarm_comp.core.model.declared_model import declared_model
@@ -76,9 +77,11 @@ def fitted(form: GearEccentricity, order: int = 2, seed: int = 1) -> ModelFit:
     return fit_model(fit.model.plus(form), rows, near=fit)
 
 
-def found(fit: ModelFit, **more) -> FoundEffect:
+def found(fit: ModelFit, *rivals: tuple[Any, float], presence: float = 1.0, **more) -> FoundEffect:
     (term,) = (t for t in fit.model.terms if t.name == ONCE.name)
-    return FoundEffect((term,), more.pop("presence", 1.0), 20.0, **more)
+    own = (term, 1.0 - sum(p for _, p in rivals))
+    each = (PossibleCause(Candidate(t.name, (t,)), 20.0, p) for t, p in (own, *rivals))
+    return FoundEffect(tuple(each), presence, **more)
 
 
 def promising(fit: ModelFit, others: tuple[Alternative, ...]) -> Model:
@@ -163,9 +166,8 @@ def test_the_covariance_is_that_about_the_tip_of_the_model() -> None:
 def test_absence_rivals_and_doubtful_effects_count_by_their_probability() -> None:
     fit = fitted(ONCE)
     gain, scale = JointGain(1, gain=0.01), CameraScale()
-    rivals = tuple(Rival(Candidate(t.name, (t,)), 9.0, p) for t, p in ((gain, 0.2), (scale, 0.1)))
-    mine = found(fit, presence=0.95, chance=0.7, rivals=rivals)
-    doubt = FoundEffect((JointGain(2),), 0.3, 1.0)
+    mine = found(fit, (gain, 0.2), (scale, 0.1), presence=0.95)
+    doubt = FoundEffect.of((JointGain(2),), 0.3, 1.0)
     others = weigh_alternatives(fit, [mine], [doubt])
     of_mine = np.array([0.95 * 0.7, 0.05, 0.95 * 0.2, 0.95 * 0.1])
     every = np.outer(of_mine, [0.7, 0.3]).ravel()
@@ -176,7 +178,7 @@ def test_absence_rivals_and_doubtful_effects_count_by_their_probability() -> Non
     (slot,) = (s for s in fit.slots if s.parameter.name == "cosine")
     moved = {float(a.moves_of([slot.identity])[0, 0]) for a in others}
     assert -slot.value in moved and min(map(abs, moved)) < 0.1 * abs(slot.value)
-    elsewhere = dataclasses.replace(mine, terms=(JointGain(4, gain=0.1),))
+    elsewhere = mine.with_terms([JointGain(4, gain=0.1)])
     assert not weigh_alternatives(fit, [elsewhere], [])  # the model does not hold it
 
 
@@ -194,9 +196,8 @@ def test_unlikely_alternatives_are_left_out_and_the_likeliest_stand_for_many() -
 def test_a_named_rival_replaces_all_effects_of_its_name() -> None:
     gains = JointGain(2, gain=1e-3), JointGain(4, gain=1e-3)
     fit = fit_model(fitted(ONCE).model.plus(gains[0]), at_three_positions())
-    rival = Rival(Candidate("joint_gain", (gains[1],)), 9.0, 0.5)
-    of_gain = FoundEffect((next(t for t in fit.model.terms if t.key == gains[0].key),), 1.0, 9.0)
-    mine = found(fit, chance=0.5, rivals=(rival,))
+    of_gain = FoundEffect.of((next(t for t in fit.model.terms if t.key == gains[0].key),), 1.0, 9.0)
+    mine = found(fit, (gains[1], 0.5))
     (other,) = weigh_alternatives(fit, [mine, of_gain], [])
     slots = [s for s in fit.slots if s.owner.key == gains[0].key]
     lost = other.moves_of([s.identity for s in slots])[0]
@@ -246,7 +247,7 @@ def test_a_diagnosis_tells_the_promise_what_it_left_open() -> None:
     """It names a gear's second order; that it is the first has a chance of one in ten or more."""
     with few_effects((GearEccentricity,)):
         made = la.diagnose(ARM, at_three_positions(), network=False)
-    (effect,) = made.diagnosis.search.found
+    (effect,) = made.diagnosis.explained.found
     assert {c.terms[0].order for c, _ in effect.otherwise} >= {1}
     known = made.model.uncertainty
     assert known is not None

@@ -33,7 +33,7 @@ def test_a_few_precise_rows_are_no_quieter_than_their_sightings_claim() -> None:
     """More columns are on offer than there are rows: they could explain all of the noise."""
     claimed = np.tile([2e-4, 2e-4, 4e-4], (12, 1))
     few = dataclasses.replace(session(GAIN, n=12), sigma=claimed)
-    noise = diagnose(ARM, few, test=session(GAIN, n=40, seed=9), kinds=FEW).search.noise.sigma
+    noise = diagnose(ARM, few, test=session(GAIN, n=40, seed=9), kinds=FEW).explained.noise.sigma
     np.testing.assert_array_less(claimed[0] * (1 - 1e-9), noise)
 
 

@@ -223,8 +223,8 @@ def test_steps_are_found_where_the_poses_stand_between_two() -> None:
     xyz = Model(ARM, servos).tip(q) + SIGMA * rng.standard_normal((150, 3))
     with names_alone():
         found = diagnose(ARM, Session.record(q, xyz), kinds=(ServoQuantisation,))
-    assert [t.where for t in found.search.chosen_terms] == ["joint 4"]
-    assert found.search.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
+    assert [t.where for t in found.explained.chosen_terms] == ["joint 4"]
+    assert found.explained.chosen_terms[0].steps_per_turn == 180  # type: ignore[union-attr]
 
 
 @pytest.mark.long
@@ -240,7 +240,7 @@ def test_rows_in_which_a_switch_is_undecided_get_no_name(seed: int) -> None:
 @pytest.mark.long
 def test_a_threshold_between_those_that_are_tried_is_found() -> None:
     rows = session_of(DEMO, 10, Backlash(6, gate=0.2, blend=0.05, width=0.03))
-    found = diagnose(DEMO, rows, kinds=(Backlash,)).search
+    found = diagnose(DEMO, rows, kinds=(Backlash,)).explained
     tried = {t.gate for c in found.candidates for t in c.terms if isinstance(t, Backlash)}
     (play,) = (t for t in found.fit.model.terms if isinstance(t, Backlash))
     assert not any(abs(gate - 0.2) < 0.04 for gate in tried)

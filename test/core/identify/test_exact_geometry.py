@@ -20,10 +20,10 @@ def exact() -> ExplainedSession:
 
 
 def test_a_half_of_the_rows_that_finds_nothing_there_leaves_doubt(exact: ExplainedSession) -> None:
-    assert exact.linear is not None and exact.found[0].presence > 0.99
-    (doubted,) = dataclasses.replace(exact.linear, of_halves=((), ())).average_samples(0)
+    assert exact.resampling is not None and exact.found[0].presence > 0.99
+    (doubted,) = dataclasses.replace(exact.resampling, of_halves=((), ())).average_samples(0)
     assert doubted.presence == pytest.approx(SAMPLES / (SAMPLES + 2), rel=1e-3)
-    (both,) = dataclasses.replace(exact.linear, of_halves=(exact.found,) * 2).average_samples(0)
+    (both,) = dataclasses.replace(exact.resampling, of_halves=(exact.found,) * 2).average_samples(0)
     assert both.presence > 0.99 and both.name == doubted.name
 
 

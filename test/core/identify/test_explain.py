@@ -80,11 +80,11 @@ def test_a_planted_compliance_is_named_with_its_value() -> None:
 def test_a_half_of_the_rows_agrees_with_every_name_of_the_set_that_it_names_one_of() -> None:
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     found = by_name(rows, JointCompliance, ServoDroop)
-    effect, linear = one(found), found.linear
-    assert linear is not None and effect.chance == pytest.approx(0.5)
-    half = (replace(effect, chance=1.0, rivals=()),)
-    (shared,) = replace(linear, of_halves=(half, half)).average_samples(0)
-    assert shared.presence > 0.99 and shared.chance == pytest.approx(0.5)
+    effect, resampling = one(found), found.resampling
+    assert resampling is not None and effect.cause.probability == pytest.approx(0.5)
+    half = (replace(effect, causes=(replace(effect.cause, probability=1.0),)),)
+    (shared,) = replace(resampling, of_halves=(half, half)).average_samples(0)
+    assert shared.presence > 0.99 and shared.cause.probability == pytest.approx(0.5)
 
 
 def test_geometry_and_noise_alone_name_nothing() -> None:

@@ -6,17 +6,24 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from demo_rows import session_of
+from discover_rows import DEMO
 
 from longarm_comp.core.calibration.candidates import Candidate
+from longarm_comp.core.calibration.fit import linearise_model
 from longarm_comp.core.effects.compliances import BearingTilt, JointCompliance
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import GearEccentricity, JointGain
+from longarm_comp.core.effects.geometry_errors import JointZero
 from longarm_comp.core.identify.candidate_states import SmallestSize, judge_candidates
-from longarm_comp.core.identify.findings import make_findings
+from longarm_comp.core.identify.findings import Finding, make_findings
+from longarm_comp.core.identify.intervals import compute_intervals
 from longarm_comp.core.identify.posterior import explain
-from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, PossibleCause
 from longarm_comp.core.identify.posterior.resampled import Resampling
+from longarm_comp.core.model.model import Model
 
+GAIN = Candidate("joint_gain", (JointGain(5, gain=0.01),))
 GEAR = Candidate("gear_eccentricity", (GearEccentricity(5),))
 TILT = Candidate("bearing_tilt", (BearingTilt(5),))
 WAVE = Candidate("discovered", (Discovered("joint 5", "turn z", "linear(q5)", "q5 0..1"),))
@@ -25,9 +32,17 @@ WAVE = Candidate("discovered", (Discovered("joint 5", "turn z", "linear(q5)", "q
 def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEffect:
     """A gain, or what else it may be; a rival's evidence is less by 2 for each in the row."""
     behind = {c.name: (c, factor - 2.0 * k) for k, c in enumerate((GEAR, TILT, WAVE), 1)}
-    rivals = tuple(Rival(*behind[name], p) for name, p in names)
-    chance = 1.0 - sum(p for _, p in names)
-    return FoundEffect((JointGain(joint, gain=0.01),), 0.9, factor, chance, rivals)
+    own = Candidate("joint_gain", (JointGain(joint, gain=0.01),)), factor
+    rivals = (PossibleCause(*behind[name], p) for name, p in names)
+    mine = PossibleCause(*own, 1.0 - sum(p for _, p in names))
+    return FoundEffect((mine, *rivals), 0.9)
+
+
+def named(found: list[FoundEffect]) -> tuple[Finding, ...]:
+    """The findings of effects that a fit does not hold, so they move nothing in it."""
+    fit = linearise_model(Model(DEMO, (JointZero(1),)), session_of(DEMO, 7))
+    ends = compute_intervals(fit, (), ())
+    return make_findings(found, DEMO, fit, fit, ends, [(fit, fit.session)])
 
 
 @pytest.mark.parametrize(
@@ -35,7 +50,7 @@ def gain(joint: int, *names: tuple[str, float], factor: float = 40.0) -> FoundEf
 )
 def test_what_is_credibly_not_there_is_not_in_doubt(there: float, open_: bool) -> None:
     gain = JointGain(2, gain=0.01)
-    assert FoundEffect((gain,), there, 3.0).in_doubt is open_
+    assert FoundEffect.of((gain,), there, 3.0).in_doubt is open_
 
 
 def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
@@ -46,8 +61,8 @@ def test_a_credible_set_is_the_smallest_with_95_percent() -> None:
 
 
 def test_single_effects_of_one_name_are_one_finding_and_the_strongest_is_first() -> None:
-    soft = FoundEffect((JointCompliance(3),), 0.99, 50.0)
-    first, second = make_findings([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
+    soft = FoundEffect.of((JointCompliance(3),), 0.99, 50.0)
+    first, second = named([gain(2, factor=30.0), soft, gain(5, factor=40.0)])
     assert (first.name, first.where) == ("joint_gain", ("joint 2", "joint 5"))
     assert first.log_bayes_factor == 70.0
     assert first.probability == pytest.approx(1.0 - 0.1 * 0.1)
@@ -65,7 +80,7 @@ def test_a_rival_that_only_samples_show_has_the_odds_that_they_give_it(
     """The page said of one with 3 percent: log odds 0."""
     monkeypatch.setattr(Resampling, "_in_its_place", lambda self, found, effects: effects[0])
     sample = [gain(2, ("gear_eccentricity", 0.2))]
-    certain = FoundEffect((JointGain(2, gain=0.01),), 1.0, 300.0)
+    certain = FoundEffect.of((JointGain(2, gain=0.01),), 1.0, 300.0)
     nothing: Any = None
     samples = Resampling(nothing, (), (), (certain,), nothing)
     (rival,) = samples._average_effect(certain, [certain], [sample] * 4).rivals
@@ -89,10 +104,10 @@ def test_effects_are_compared_with_their_rivals_until_none_is_better(
 
 def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
     first = gain(2, ("gear_eccentricity", 0.5))
-    (own,) = first.rivals
-    there = replace(own, candidate=Candidate(GEAR.name, (GearEccentricity(2),)))
-    first = replace(first, rivals=(there,))
-    (found,) = make_findings([first, gain(5, ("gear_eccentricity", 0.1))])
+    own, rival = first.causes
+    there = replace(rival, candidate=Candidate(GEAR.name, (GearEccentricity(2),)))
+    first = replace(first, causes=(own, there))
+    (found,) = named([first, gain(5, ("gear_eccentricity", 0.1))])
     assert found.names == ("joint_gain", "gear_eccentricity")
     assert found.open
     assert dict(found.chances)["gear_eccentricity"] == pytest.approx(0.3)
@@ -106,7 +121,7 @@ def test_a_name_that_may_stand_for_all_parts_is_an_alternative() -> None:
 
 def test_a_name_that_may_stand_for_one_part_only_is_a_partial_alias() -> None:
     parts = [gain(2, factor=10.0), gain(5, ("gear_eccentricity", 0.3), factor=30.0)]
-    (found,) = make_findings(parts)
+    (found,) = named(parts)
     assert found.names == ("joint_gain",)
     assert not found.open
     assert [(p.part, p.name) for p in found.partial_aliases] == [
@@ -118,7 +133,7 @@ def test_a_name_that_may_stand_for_one_part_only_is_a_partial_alias() -> None:
 
 
 def test_the_runner_up_is_the_most_probable_other_name() -> None:
-    (found,) = make_findings([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
+    (found,) = named([gain(5, ("bearing_tilt", 0.3), ("gear_eccentricity", 0.2))])
     assert found.runner_up is not None
     assert found.runner_up.effect == TILT.name
     assert [a.candidate.name for a in found.alternatives] == ["bearing_tilt", "gear_eccentricity"]
@@ -126,12 +141,13 @@ def test_the_runner_up_is_the_most_probable_other_name() -> None:
 
 def judged(worth: float) -> tuple[FoundEffect, bool]:
     """A gain, beside a gear that was fitted in its place, a bearing like the gear, a function."""
-    rivals = (
-        Rival(GEAR, 38.0, 0.2, "gear_eccentricity"),
-        Rival(TILT, 38.0, 0.2, "gear_eccentricity"),
-        Rival(WAVE, 30.0, 0.2, "discovered"),
+    causes = (
+        PossibleCause(GAIN, 40.0, 0.4),
+        PossibleCause(GEAR, 38.0, 0.2, "gear_eccentricity"),
+        PossibleCause(TILT, 38.0, 0.2, "gear_eccentricity"),
+        PossibleCause(WAVE, 30.0, 0.2, "discovered"),
     )
-    part = FoundEffect((JointGain(5, gain=0.01),), 0.9, 40.0, 0.4, rivals)
+    part = FoundEffect(causes, 0.9)
     assert [r.name for r in part.fitted_rivals] == ["gear_eccentricity", "discovered"]
     return part.compare_with({"gear_eccentricity": worth})
 
@@ -148,7 +164,7 @@ def test_a_fit_in_its_place_decides_between_an_effect_and_its_rival(
     wanted = {"joint_gain": stays * 2 / 3, "discovered": stays / 3}
     wanted |= dict.fromkeys(("gear_eccentricity", "bearing_tilt"), (1.0 - stays) / 2)
     assert made.names == pytest.approx(wanted)
-    factors = {r.name: r.log_bayes_factor for r in made.rivals} | {made.name: made.log_bayes_factor}
+    factors = {c.name: c.log_bayes_factor for c in made.causes}
     gear = 40.0 + worth
     assert factors == pytest.approx(
         {"joint_gain": 40.0, "gear_eccentricity": gear, "bearing_tilt": gear, "discovered": 30.0}
@@ -156,20 +172,20 @@ def test_a_fit_in_its_place_decides_between_an_effect_and_its_rival(
 
 
 def test_a_function_that_may_be_the_cause_opens_a_name_and_is_no_name() -> None:
-    (found,) = make_findings([gain(5, ("discovered", 0.3))])
+    (found,) = named([gain(5, ("discovered", 0.3))])
     assert found.names == ("joint_gain",)
     assert found.open
     assert "joint 5, turn z, linear(q5)" in found.unnamed
     sure = replace(gain(5, ("discovered", 0.01)), presence=0.99)
-    assert not make_findings([sure])[0].open
-    assert make_findings([replace(sure, presence=0.9)])[0].open, "another session may not show it"
-    assert make_findings([sure])[0].unnamed == ""
+    assert not named([sure])[0].open
+    assert named([replace(sure, presence=0.9)])[0].open, "another session may not show it"
+    assert named([sure])[0].unnamed == ""
 
 
 def test_a_function_alone_is_no_finding() -> None:
     (term,) = WAVE.terms
-    alone = FoundEffect((term,), 0.99, 40.0)
-    assert make_findings([alone]) == ()
+    alone = FoundEffect.of((term,), 0.99, 40.0)
+    assert named([alone]) == ()
     assert alone.unnamed
     assert alone.chance_unnamed == 1.0
     assert gain(5, ("discovered", 0.3)).chance_unnamed == pytest.approx(0.3)
@@ -178,8 +194,8 @@ def test_a_function_alone_is_no_finding() -> None:
 
 def test_a_name_that_two_findings_may_have_is_told_of_the_one_at_its_place() -> None:
     """A gear may be the tilt at joint 5, which is stronger, or the gain at joint 2."""
-    tilt = FoundEffect(TILT.terms, 0.99, 50.0, 0.7, (Rival(GEAR, 48.0, 0.3),))
-    findings = make_findings([gain(2, ("gear_eccentricity", 0.3)), tilt])
+    tilt = FoundEffect((PossibleCause(TILT, 50.0, 0.7), PossibleCause(GEAR, 48.0, 0.3)), 0.99)
+    findings = named([gain(2, ("gear_eccentricity", 0.3)), tilt])
     blank: Any = SimpleNamespace(model=None, known_columns=({}, {}, {}))
     search: Any = SimpleNamespace(fit=blank, chosen_terms=(), needed_evidence=5.0)
     gears = [Candidate("gear_eccentricity", (GearEccentricity(k),)) for k in (2, 5, 3)]

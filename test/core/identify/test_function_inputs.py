@@ -39,11 +39,11 @@ def test_both_sides_depend_on_what_was_recorded_and_the_camera_on_what_it_sees()
     rows = measured(DEMO, (), 40, 1)
     ours, axes, views = make_banks(calibrated(DEMO, rows))
     assert {"t_s", "warmth"} < set(ours.functions.inputs.by_name)
-    assert "weight" in {spot.component for spot in ours.places}
-    assert {spot.component for spot in axes.places} == set("xyz")
+    assert "weight" in {spot.component for spot in ours.spots}
+    assert {spot.component for spot in axes.spots} == set("xyz")
     seen = {"seen_x", "seen_y", "seen_z", "t_s", "temperature_c"}
     assert set(axes.functions.inputs.by_name) == seen
-    assert "distance" in {spot.component for spot in views.places}
+    assert "distance" in {spot.component for spot in views.spots}
 
 
 def test_of_three_positions_only_lines_are_tried() -> None:

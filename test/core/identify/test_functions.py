@@ -335,7 +335,7 @@ def test_the_diagnosis_names_the_driver_and_not_the_noise(rng: np.random.Generat
     assert abs(cause.amounts[0].value) == pytest.approx(4e-3, rel=0.02)
     assert any("measured" in place for place in cause.where)
     assert found.written == "with_functions"
-    np.testing.assert_allclose(found.search.noise.sigma, SIGMA, rtol=0.35)
+    np.testing.assert_allclose(found.explained.noise.sigma, SIGMA, rtol=0.35)
 
 
 def test_noise_that_is_far_larger_on_one_axis_is_noise_of_that_axis(
@@ -345,5 +345,5 @@ def test_noise_that_is_far_larger_on_one_axis_is_noise_of_that_axis(
     uneven = dataclasses.replace(rows, xyz=rows.xyz + rng.normal(0.0, [2e-3, 0.0, 0.0], (140, 3)))
     found = diagnose(SMALL, uneven, kinds=(JointGain,))
     assert (found.verdict, found.findings) == ("noise", ())
-    assert found.search.noise.sigma[0] == pytest.approx(2e-3, rel=0.2)
-    np.testing.assert_allclose(found.search.noise.sigma[1:], SIGMA, rtol=0.35)
+    assert found.explained.noise.sigma[0] == pytest.approx(2e-3, rel=0.2)
+    np.testing.assert_allclose(found.explained.noise.sigma[1:], SIGMA, rtol=0.35)

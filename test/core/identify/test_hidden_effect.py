@@ -162,10 +162,12 @@ def test_dose_decides_between_invisible_set_and_named(
 
 
 def test_the_smallest_visible_size_is_between_unseen_and_found(nothing: Diagnosis) -> None:
-    options = [c for c in nothing.search.candidates if c.name == "joint_gain"]
+    options = [c for c in nothing.explained.candidates if c.name == "joint_gain"]
     smallest = next(
         d
-        for d in find_smallest_sizes(nothing.search.fit, options, nothing.search.needed_evidence)
+        for d in find_smallest_sizes(
+            nothing.explained.fit, options, nothing.explained.needed_evidence
+        )
         if d.candidate.where == ("joint 2",)
     )
     prior = smallest.candidate.slots(ARM)[0].parameter.prior
@@ -173,7 +175,7 @@ def test_the_smallest_visible_size_is_between_unseen_and_found(nothing: Diagnosi
         size = factor * smallest.size * prior
         far = [drives.JointGain(at(2, size))]
         found = diagnosed(session(far), far, (JointGain,))
-        assert bool(found.search.chosen_terms) == seen
+        assert bool(found.explained.chosen_terms) == seen
 
 
 # 9

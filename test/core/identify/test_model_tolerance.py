@@ -71,8 +71,8 @@ def test_the_parts_are_joints_seats_and_links() -> None:
 
 
 def test_all_else_is_less_off_than_what_gives_way_however_many_forms_and_names_it_has() -> None:
-    fitted = found(0.0).search.fit
-    columns, offered = FitColumns(fitted), found(0.0).search.candidates
+    fitted = found(0.0).explained.fit
+    columns, offered = FitColumns(fitted), found(0.0).explained.candidates
     assert {"backlash", "servo_deadband"} < {c.name for c in offered}, "one physics, two names"
     every = [t for t in distinct_terms(offered) if t.name not in ("servo_deadband", "servo_droop")]
     white, by_slack = background_columns(
@@ -94,7 +94,7 @@ def test_all_else_is_less_off_than_what_gives_way_however_many_forms_and_names_i
 def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
     """It takes off what calibration leaves, and its priors are far below a finding's."""
     diagnosis = found(BACKGROUND_COMPLIANCE)
-    assert diagnosis.search.tolerance.compliance
+    assert diagnosis.explained.tolerance.compliance
     assert diagnosis.findings == ()
     assert diagnosis.written == WITH_EFFECTS
     elastic = [s for s in diagnosis.model.slots if s.owner.elastic]
@@ -115,7 +115,7 @@ def test_a_little_of_everything_is_in_the_model_and_no_finding() -> None:
 
 def test_a_rigid_arm_stays_rigid() -> None:
     diagnosis = found(0.0)
-    assert not diagnosis.search.tolerance.compliance
+    assert not diagnosis.explained.tolerance.compliance
     assert diagnosis.written == CALIBRATED
     assert not any(s.owner.elastic for s in diagnosis.model.slots)
     assert "a little" not in diagnosis.summary
@@ -135,7 +135,8 @@ def test_what_else_is_off_is_in_the_model_too_and_what_is_not_stays_out() -> Non
 def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
     """A part whose best value is none may still yield: a promise under another load counts it."""
     fitted = fit_with_background(
-        found(BACKGROUND_COMPLIANCE).search.fit, found(BACKGROUND_COMPLIANCE).search.candidates
+        found(BACKGROUND_COMPLIANCE).explained.fit,
+        found(BACKGROUND_COMPLIANCE).explained.candidates,
     )
     elastic = [s for s in fitted.model.slots if s.owner.elastic]
     assert any(s.value < 1e-3 * s.parameter.width for s in elastic)
@@ -147,7 +148,7 @@ def test_what_gives_way_is_kept_where_it_may_for_another_load() -> None:
 def test_an_arm_of_which_every_part_is_soft_has_no_soft_part() -> None:
     """Its parts yield by half of what a finding does: no name, and the model holds them."""
     diagnosis = found(0.5)
-    assert diagnosis.search.tolerance.is_soft
+    assert diagnosis.explained.tolerance.is_soft
     assert not [f for f in diagnosis.findings if f.probability >= 0.95 and not f.open]
     test = rows_of(giving_way(0.5), 60, seed=7)
     left = np.linalg.norm(compute_tip_errors(diagnosis.model, test), axis=1).mean()
@@ -163,11 +164,11 @@ def test_what_is_a_little_off_needs_no_recorded_column(monkeypatch: pytest.Monke
     kinds = (ThermalGrowth, JointGain, *ELASTIC)
     with names_alone():
         made = diagnose(ARM, rows.take(slice(90)), test=rows.take(slice(90, 120)), kinds=kinds)
-    search = made.search
-    assert "thermal_growth" in {c.name for c in search.candidates}
+    explained = made.explained
+    assert "thermal_growth" in {c.name for c in explained.candidates}
     # now its column would move the rows
     monkeypatch.setattr(model_tolerance, "BACKGROUND_REST", 1.0)
-    added = fit_with_background(search.fit, search.candidates).model.effects
+    added = fit_with_background(explained.fit, explained.candidates).model.effects
     assert "joint_gain" in {t.name for t in added}
     assert not any("temperature_c" in t.inputs for t in added)
 
@@ -182,7 +183,7 @@ def test_what_is_said_of_a_finding_beside_it_is_what_is_written() -> None:
     rows, test = rows_of(true, 120), rows_of(true, 60, seed=6)
     with names_alone():
         diagnosis = diagnose(ARM, rows, test=test, kinds=(JointGain, *ELASTIC))
-    assert diagnosis.search.tolerance.compliance
+    assert diagnosis.explained.tolerance.compliance
     (gain,) = (f for f in diagnosis.findings if f.name == "joint_gain")
     written = {t.key: t for t in diagnosis.model.terms}
     assert [written[t.key] for t in gain.terms] == list(gain.terms)

@@ -36,10 +36,10 @@ from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.identify.discover.functions import FunctionFamily
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, replace_effect
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
 from longarm_comp.core.identify.posterior.offers import make_offers, tolerance_columns
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
 from studies.outside import PumpShake, RubberStop
@@ -56,7 +56,7 @@ def test_effects_have_the_same_evidence_with_and_without_others_on_offer() -> No
     rows = session_of(DEMO, 2)
     tried = list_candidates(DEMO, rows.context(), KINDS).testable
     gains = [c.terms for c in tried if c.name == "joint_gain" and len(c.terms) == 1][:2]
-    found = tuple(FoundEffect(terms, 1.0, 0.0) for terms in gains)
+    found = tuple(FoundEffect.of(terms, 1.0, 0.0) for terms in gains)
     terms = (*geometry_terms(DEMO, rows), *(t for own in gains for t in own))
     fitted = fit_model(Model(DEMO, terms), rows)
     among, alone = (
@@ -110,7 +110,7 @@ def planted(seed: int = 2) -> tuple[ModelFit, FoundEffect]:
     model = Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, rows))).plus(JointGain(5))
     fitted = fit_model(model, rows, sigma=np.full(3, 4e-4))
     (term,) = (t for t in fitted.model.terms if isinstance(t, JointGain))
-    found = FoundEffect((term,), 1.0, 200.0)
+    found = FoundEffect.of((term,), 1.0, 200.0)
     return fitted, found
 
 
@@ -193,7 +193,7 @@ def explained_by(rows: Session, *terms: Effect) -> tuple[ModelFit, tuple[FoundEf
     model = Model(DEMO, (LinkDeflection(), *geometry_terms(DEMO, rows))).plus(*terms)
     fitted = fit_model(model, rows, sigma=np.full(3, 4e-4))
     held = {t.key: t for t in fitted.model.terms}
-    found = (FoundEffect((held[t.key],), 1.0, 200.0) for t in terms)
+    found = (FoundEffect.of((held[t.key],), 1.0, 200.0) for t in terms)
     return fitted, tuple(found)
 
 
@@ -325,7 +325,7 @@ def test_functions_are_on_offer_in_the_place_of_what_was_found() -> None:
     rows = measured(SMALL, (drives.JointGain(at(2, 0.02)),), ROWS, 3)
     bare = calibrated(SMALL, rows)
     whole = fit_model(bare.model.plus(JointGain(2)), rows)
-    named = FoundEffect((JointGain(2),), 1.0, 200.0)
+    named = FoundEffect.of((JointGain(2),), 1.0, 200.0)
     made = [propose_functions(whole, found) for found in ((), (named,))]
     same = [any(t.place == "joint 2, turn z, linear(q2)" for p in m for t in p.terms) for m in made]
     assert same == [False, True]
@@ -335,7 +335,7 @@ def test_no_function_is_on_offer_in_the_place_of_what_gives_way() -> None:
     """Under another load a function does not know by how much."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=2e-2))
     whole = fit_model(calibrated(DEMO, rows).model.plus(JointCompliance(2)), rows)
-    found = [FoundEffect((JointCompliance(2),), 1.0, 200.0)]
+    found = [FoundEffect.of((JointCompliance(2),), 1.0, 200.0)]
     assert JointCompliance.elastic and not propose_functions(whole, found)
 
 
@@ -346,7 +346,7 @@ def test_the_curve_of_a_joint_is_on_offer_in_the_place_of_a_gear() -> None:
     bare = calibrated(SMALL, rows)
     whole = fit_model(bare.model.plus(JointGain(1), GearEccentricity(2)), rows)
     known = {t.name: t for t in whole.model.effects}
-    found = [FoundEffect((known[n],), 1.0, 200.0) for n in ("joint_gain", "gear_eccentricity")]
+    found = [FoundEffect.of((known[n],), 1.0, 200.0) for n in ("joint_gain", "gear_eccentricity")]
     curves = {
         p.log_prior: p.terms
         for p in propose_functions(whole, found)
@@ -372,6 +372,7 @@ def test_what_was_found_keeps_the_price_of_its_choice() -> None:
     """A function among many is no likelier because it is in the model by now."""
     rows = session_of(DEMO, 1, JointCompliance(2, compliance=8e-3))
     fitted, (found,) = explained_by(rows, JointCompliance(2))
-    paid = dataclasses.replace(found, log_prior=-11.0)
+    (cause,) = found.causes
+    paid = dataclasses.replace(found, causes=(dataclasses.replace(cause, log_prior=-11.0),))
     (bank,) = make_offers(fitted, (), (), (paid,), [ModelTolerance(0.01, False)])
     assert [bank.bank.offers[k].log_prior for k in bank.known] == [-11.0]

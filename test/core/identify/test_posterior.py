@@ -22,8 +22,8 @@ from longarm_comp.core.identify.posterior.explain import explain_session
 from longarm_comp.core.identify.posterior.explained import ExplainedSession
 from longarm_comp.core.identify.posterior.found import NONE, UNNAMED
 from longarm_comp.core.identify.posterior.offer import Offer, OtherEffects, SingleEffect
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offer_table import Coefficients
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.model.model import Model
 
 UNBOUND = np.full(9, np.inf)
@@ -148,11 +148,11 @@ def test_functions_at_one_place_are_one_cause(across: np.ndarray) -> None:
     alone = of.evidence(offers[:1]) - (offers[0].log_prior - NONE)
     elsewhere = of.evidence(offers[::2]) - of.evidence(offers[2:])
     there = of.evidence(offers[:2]) - of.evidence(offers[1:2])
-    assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.again)
+    assert elsewhere == pytest.approx(alone + offers[0].log_prior - NONE + of.same_name)
     assert there == pytest.approx(alone + math.log(0.5) - math.log(30 / 3))
     others = OtherEffects(*(frozenset({each}) for each in (2, 1, "no name", "joint 1")))
     beside = of.compute_single_effect(x.T @ y, others)
-    assert beside.q[0] / (1.0 - beside.presence) == pytest.approx(math.exp(there))
+    assert beside.probabilities[0] / (1.0 - beside.presence) == pytest.approx(math.exp(there))
 
 
 @pytest.mark.parametrize(("angle", "named"), [(0.02, True), (0.04, False)])
@@ -163,8 +163,8 @@ def test_a_function_that_does_what_a_name_does_is_no_other_cause(
     x = np.column_stack([3.0 * ways[:, 0], ways @ [math.cos(angle), math.sin(angle)]])
     function = single("no name", 1, site="joint 1")
     of = bank(x[:, 0], x, [single("gain", 0), function], UNBOUND[:2])
-    assert of.has_a_name(function) == named
-    assert not of.has_a_name(of.offers[0])
+    assert of.imitates_a_name(function) == named
+    assert not of.imitates_a_name(of.offers[0])
 
 
 def test_what_is_there_whole_is_taken_off_before_the_rest(across: np.ndarray) -> None:
@@ -202,11 +202,11 @@ def test_a_further_place_of_a_name_has_half_of_the_probability(across: np.ndarra
     rest = of.along - of.gram @ [2.0, 0.0]
     a = frozenset({"a"})
     beside = of.compute_single_effect(rest, OtherEffects(held=a, names=a))
-    assert beside.q[1] == pytest.approx(3.0 * beside.q[2])
-    assert beside.q[0] == 0.0
+    assert beside.probabilities[1] == pytest.approx(3.0 * beside.probabilities[2])
+    assert beside.probabilities[0] == 0.0
     shut = of.compute_single_effect(rest, OtherEffects(frozenset({1}), a, a))
-    assert shut.q[1] == 0.0
-    assert shut.q[2] == pytest.approx(1.0 / 5.0, abs=0.01)
+    assert shut.probabilities[1] == 0.0
+    assert shut.probabilities[2] == pytest.approx(1.0 / 5.0, abs=0.01)
 
 
 def test_of_names_that_rounding_alone_distinguishes_the_first_is_named() -> None:
@@ -301,7 +301,7 @@ def test_columns_that_are_alike_share_the_probability(columns: np.ndarray) -> No
         bank(y, x, [single("a", 0), single("b", 1), single("c", 2)], UNBOUND[:3])
     )
     assert len(found.effects) == 1
-    assert found.effects[0].q[:2] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert found.effects[0].probabilities[:2] == pytest.approx([0.5, 0.5], abs=0.01)
     assert found.effects[0].presence == pytest.approx(1.0, abs=1e-6)
 
 

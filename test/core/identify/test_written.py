@@ -25,7 +25,7 @@ from longarm_comp.core.effects.slow_changes import BaseSettling, ThermalGrowth
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.identify import diagnose as core
 from longarm_comp.core.identify import diagnosis
-from longarm_comp.core.identify.posterior.found import FoundEffect, Rival
+from longarm_comp.core.identify.posterior.found import FoundEffect, PossibleCause
 from longarm_comp.core.identify.proof import NETWORK, Fold, prove_models
 from longarm_comp.core.identify.proved_models import choose_written
 from longarm_comp.core.learn.predictor import LearnedGain
@@ -40,8 +40,9 @@ FAR = ARM.lower + 0.9 * (ARM.upper - ARM.lower)
 
 
 def single(term: Any, there: float, *others: tuple[Any, float]) -> FoundEffect:
-    rivals = tuple(Rival(Candidate(t.name, (t,)), 20.0, p) for t, p in others)
-    return FoundEffect((term,), there, 20.0, 1.0 - sum(p for _, p in others), rivals)
+    own = (term, 1.0 - sum(p for _, p in others))
+    each = (PossibleCause(Candidate(t.name, (t,)), 20.0, p) for t, p in (own, *others))
+    return FoundEffect(tuple(each), there)
 
 
 def test_rows_that_are_labelled_test_are_never_fitted() -> None:

@@ -23,13 +23,13 @@ from longarm_comp.core.planning.splitting_poses import SplittingPoses, choose_sp
 
 def asked(count: int, share: float = 1.0) -> SplittingPoses:
     """Poses between the first two names of a set, its effect so many times as large."""
-    search = in_doubt().search
+    explained = in_doubt().explained
     (found,) = in_doubt().findings
     keys = {t.key for t in found.terms}
-    model = search.fit.model
+    model = explained.fit.model
     own = np.array([s.owner.key in keys for s in model.slots])
     values = np.where(own, share * model.values, model.values)
-    fitted = dataclasses.replace(search.fit, model=model.with_values(values))
+    fitted = dataclasses.replace(explained.fit, model=model.with_values(values))
     rival = next(r for r in found.alternatives if r.candidate.name not in found.names[1:2])
     return choose_splitting_poses(fitted, found.candidate, rival.candidate, count)
 
@@ -46,7 +46,7 @@ def test_the_odds_grow_with_the_square_of_the_effect_and_with_poses() -> None:
 
 
 def test_the_odds_of_the_rows_alone_are_half_the_square_of_what_nothing_else_explains() -> None:
-    fitted = in_doubt().search.fit
+    fitted = in_doubt().explained.fit
     (found,) = in_doubt().findings
     keys = {t.key for t in found.terms}
     own = [s for s in fitted.slots if s.owner.key in keys]

@@ -60,7 +60,7 @@ class FunctionCandidate:
     """Functions at places that are fitted together.
 
     Attributes:
-        members: place and function of each column.
+        members: spot and function of each column.
         decay: prior standard deviation of each column, relative to the first.
         log_prior: log prior of the choice among all candidates.
     """
@@ -75,20 +75,20 @@ class FunctionBank:
 
     Args:
         fit: the fit, with its rows, columns and noise, which does not correlate rows (``rho`` 0).
-        places: the K components, with their places.
+        spots: the K components, with their places.
         units: (N, d, K) motion of the d channels by a unit of each component, m or rad.
         functions: G functions at the N rows.
     """
 
     def __init__(
-        self, fit: ModelFit, places: Sequence[Spot], units: np.ndarray, functions: Functions
+        self, fit: ModelFit, spots: Sequence[Spot], units: np.ndarray, functions: Functions
     ) -> None:
-        self.fit, self.places, self.units, self.functions = fit, tuple(places), units, functions
-        self._number = {place: k for k, place in enumerate(self.places)}
+        self.fit, self.spots, self.units, self.functions = fit, tuple(spots), units, functions
+        self._number = {spot: k for k, spot in enumerate(self.spots)}
         kinds: dict[tuple[str, str], list[int]] = {}
-        for k, place in enumerate(self.places):
-            kind, *_ = place.component.split(" ")  # without its axis
-            kinds.setdefault((place.at, kind), []).append(k)
+        for k, spot in enumerate(self.spots):
+            kind, *_ = spot.component.split(" ")  # without its axis
+            kinds.setdefault((spot.at, kind), []).append(k)
         self._vectors = [ks for ks in kinds.values() if len(ks) == 3]
         arm = fit.model.arm
         each = zip(arm.commanded, arm.slides, strict=True)
@@ -103,14 +103,14 @@ class FunctionBank:
 
         The columns that are in the model already are marginalised.
         """
-        made = np.array([h.log_prior for h in listed])
+        made = np.array([c.log_prior for c in listed])
         counts = np.array([len(h.members) for h in listed], dtype=int)
         for count in np.unique(counts).tolist():
             alike = np.flatnonzero(counts == count)
             for portion in np.array_split(alike, max(len(alike) * count // SHORTLIST, 1)):
                 some = [listed[n] for n in portion.tolist()]
-                white = self._white_columns([member for h in some for member in h.members])
-                unit = white * (np.concatenate([h.decay for h in some]) / self._rms_shift(white))
+                white = self._white_columns([member for c in some for member in c.members])
+                unit = white * (np.concatenate([c.decay for c in some]) / self._rms_shift(white))
                 t = (marginal.projected_data @ unit).reshape(len(some), count)
                 several = unit.reshape(len(unit), len(some), count).transpose(1, 2, 0)
                 projected = marginal.project(unit).reshape(len(unit), len(some), count)
@@ -128,8 +128,8 @@ class FunctionBank:
     def _white_columns(self, members: Sequence[tuple[Spot, Function]]) -> np.ndarray:
         """Return the (d M, r) columns of r members at the M inliers, in units of the noise."""
         made = [
-            self.units[:, :, self._number[p]] * self.functions.values_of(f)[:, None]
-            for p, f in members
+            self.units[:, :, self._number[spot]] * self.functions.values_of(f)[:, None]
+            for spot, f in members
         ]
         return self.fit.whiten_columns(np.stack(made, axis=-1))
 
@@ -242,7 +242,7 @@ class FunctionBank:
 
         Without a `group` there is one function for each joint.
         """
-        named = tuple((self.places[k], self.functions.listed[f]) for k, f in members)
+        named = tuple((self.spots[k], self.functions.listed[f]) for k, f in members)
         if group is None:
             prior = -math.log(len(FunctionFamily) * len(self.functions.each_joint))
             return FunctionCandidate(named, (1.0,) * len(named), prior)
@@ -256,7 +256,7 @@ class FunctionBank:
         """
         if group.family is FunctionFamily.OWN_JOINT:
             return -math.log(len(FunctionFamily) * len(self.functions.own_joint))
-        alike = 2.0 * self.functions.counts[group.family] * len(self.places)
+        alike = 2.0 * self.functions.counts[group.family] * len(self.spots)
         return -math.log(len(FunctionFamily) * alike) - NONE * group.rare
 
 
@@ -312,16 +312,16 @@ def make_banks(fit: ModelFit, remembering: Collection[int] = ()) -> tuple[Functi
     return tuple(made)
 
 
-def make_term(place: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
+def make_term(spot: Spot, function: str, domain: str, scale: float) -> Effect | Bias:
     """Make the term of a model for a component and a function.
 
     Args:
         function, domain: the function and its domain in words (`Function.text`, `.domain`).
         scale: prior standard deviation of its amount.
     """
-    if place.at == CAMERA:
-        return DiscoveredView(place.component, function, domain, scale)
-    return Discovered(place.at, place.component, function, domain, scale)
+    if spot.at == CAMERA:
+        return DiscoveredView(spot.component, function, domain, scale)
+    return Discovered(spot.at, spot.component, function, domain, scale)
 
 
 def _list_places(arm: Arm) -> list[str]:

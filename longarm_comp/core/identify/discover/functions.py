@@ -27,8 +27,8 @@ from longarm_comp.core.effects.shapes import (
     Wave,
 )
 from longarm_comp.core.identify.discover.inputs import (
-    DENSE,
-    LOOKS,
+    FINE_GRID,
+    GRID,
     FunctionInput,
     FunctionInputs,
 )
@@ -225,7 +225,9 @@ def _make_linear(one: FunctionInput) -> Shape:
 
     An input that no command knows is centred too. Then commands without it have no mean error.
     """
-    return Legendre(*one.domain, 1) if one.is_far_from_zero or not one.told else Linear(*one.domain)
+    if one.is_far_from_zero or not one.known_to_commands:
+        return Legendre(*one.domain, 1)
+    return Linear(*one.domain)
 
 
 def make_switch(one: FunctionInput, threshold: float) -> Switch:
@@ -240,26 +242,26 @@ def make_switch(one: FunctionInput, threshold: float) -> Switch:
 def list_orders(one: FunctionInput) -> list[float]:
     """Return the angular frequencies of an input's waves that are tried; none if it is smooth.
 
-    They are whole numbers for an angle, else those of 2 to `LOOKS` + 1 half periods in the range.
+    They are whole numbers for an angle, else those of 2 to `GRID` + 1 half periods in the range.
     """
     if one.smooth:
         return []
     if one.circular:
-        return [float(n) for n in range(1, (LOOKS + 1) // 2 + 1)]
+        return [float(n) for n in range(1, (GRID + 1) // 2 + 1)]
     span = one.high - one.low
-    return [n * math.pi / span for n in range(2, LOOKS + 2)]
+    return [n * math.pi / span for n in range(2, GRID + 2)]
 
 
 def list_thresholds(one: FunctionInput) -> list[float]:
     """Return the thresholds of an input that are tried: quantiles of its values; none if smooth."""
     if one.smooth:
         return []
-    shares = np.arange(1, LOOKS + 1) / (LOOKS + 1)
+    shares = np.arange(1, GRID + 1) / (GRID + 1)
     return [float(v) for v in np.unique(np.quantile(one.values, shares)) if v > one.low]
 
 
 def vary_shape(shape: Shape, one: FunctionInput, width: float) -> list[Shape]:
-    """Return the same shape with up to `DENSE` thresholds or orders around its own.
+    """Return the same shape with up to `FINE_GRID` thresholds or orders around its own.
 
     Args:
         shape: a shape with a threshold, or a wave. For others, and for waves of an angle, nothing
@@ -269,14 +271,14 @@ def vary_shape(shape: Shape, one: FunctionInput, width: float) -> list[Shape]:
     """
     if isinstance(shape, Threshold):
         place = float((one.values < shape.threshold).mean())
-        step = 1.3 * width / (LOOKS + 1)
-        shares = np.clip(np.linspace(place - step, place + step, DENSE), 0.02, 0.98)
+        step = 1.3 * width / (GRID + 1)
+        shares = np.clip(np.linspace(place - step, place + step, FINE_GRID), 0.02, 0.98)
         made = np.unique(np.quantile(one.values, shares))
         if isinstance(shape, Switch):
             return [make_switch(one, float(v)) for v in made]
         return [type(shape)(*one.domain, float(v)) for v in made]
     if isinstance(shape, Wave) and not one.circular:
         step = width * math.pi / (one.high - one.low)
-        made = np.linspace(shape.order - step, shape.order + step, DENSE)
+        made = np.linspace(shape.order - step, shape.order + step, FINE_GRID)
         return [type(shape)(*one.domain, float(v)) for v in made if v > 0]
     return []

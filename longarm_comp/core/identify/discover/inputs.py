@@ -25,15 +25,15 @@ from longarm_comp.core.effects.quantities import (
 from longarm_comp.core.effects.shapes import LARGEST
 from longarm_comp.core.identify.model_tolerance import FORM_KNOWN_WITHIN
 
-FINE = FORM_KNOWN_WITHIN
-"""Smallest part of a range that counts. Two inputs count as one if one explains the other but for
-this part, rms. A load or a direction of gravity counts if its range is larger than this part of the
-widest of its kind: less may be sag or an error of declared masses and lengths, right to a few
+NEGLIGIBLE = FORM_KNOWN_WITHIN
+"""Part of a range below which nothing counts. Two inputs count as one if one explains the other but
+for this part, rms. A load or a direction of gravity counts if its range is larger than this part of
+the widest of its kind: less may be sag or an error of declared masses and lengths, right to a few
 percent."""
-LOOKS = 7
+GRID = 7
 """Number of values of a threshold, or of a form's scale, on the first grid.  Waves are as fine:
 half a period is no shorter than the distance of two of these values."""
-DENSE = LOOKS * LOOKS
+FINE_GRID = GRID * GRID
 """Number of values on the fine grid around the best. If rows were set aside as outliers, the whole
 scale of a form is searched that finely. Positions of a joint are told apart on it over its range: a
 palletiser stands at few positions, some of them near each other."""
@@ -55,7 +55,7 @@ class FunctionInput:
         circular: whether it is an angle, of which harmonics are tried.
         smooth: whether it is a coordinate of the seen point: errors of lenses have no waves or
             thresholds.
-        told: whether a command knows its value.
+        known_to_commands: whether a command knows its value.
     """
 
     name: str
@@ -63,7 +63,7 @@ class FunctionInput:
     levels: int
     circular: bool = False
     smooth: bool = False
-    told: bool = True
+    known_to_commands: bool = True
 
     @cached_property
     def low(self) -> float:
@@ -82,8 +82,8 @@ class FunctionInput:
 
     @property
     def is_far_from_zero(self) -> bool:
-        """True if its range is a small part of its values (`FINE`), as of a date in seconds."""
-        return FINE * abs(self.low + self.high) / 2 > self.high - self.low
+        """True if its range is a `NEGLIGIBLE` part of its values, as of a date in seconds."""
+        return NEGLIGIBLE * abs(self.low + self.high) / 2 > self.high - self.low
 
     @property
     def shows_curves(self) -> bool:
@@ -93,7 +93,7 @@ class FunctionInput:
 
 @dataclass(frozen=True)
 class FunctionInputs:
-    """The quantities that a discovered function may depend on, no two of them alike (`FINE`).
+    """The quantities that a discovered function may depend on, no two of them alike (`NEGLIGIBLE`).
 
     Attributes:
         shared: names of those that all joints share (sum of loads, time, recorded columns).
@@ -153,7 +153,7 @@ def _least_span(
     if not isinstance(found, OfPosture):
         return 0.0
     largest = float(np.abs(values).max(initial=0.0))
-    share = 0.0 if isinstance(found, Span) else FINE * max(widest, FINE * largest)
+    share = 0.0 if isinstance(found, Span) else NEGLIGIBLE * max(widest, NEGLIGIBLE * largest)
     return max(share, found.resolution)
 
 
@@ -189,7 +189,7 @@ def _list_names(
 def _add_distinct(
     made: list[FunctionInput], name: str, values: np.ndarray, arm: Arm | None
 ) -> None:
-    """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`FINE`).
+    """Append a quantity (N,) to `made` if it varies and none in `made` is like it (`NEGLIGIBLE`).
 
     Args:
         arm: the arm; None for a quantity on the measuring side, which needs none.
@@ -202,17 +202,17 @@ def _add_distinct(
     for other in made:
         against = other.values - other.values.mean()
         squares = float(centred @ centred) * float(against @ against)
-        if float(centred @ against) ** 2 > (1.0 - FINE**2) * squares:
+        if float(centred @ against) ** 2 > (1.0 - NEGLIGIBLE**2) * squares:
             return
     found = quantity(name)
     circular = arm is not None and isinstance(found, JointPosition) and found.unit(arm) == "rad"
     smooth = name.startswith(SEEN)
-    told = not is_column(name) or is_told(name)
+    known = not is_column(name) or is_told(name)
     levels = count_levels(values)
-    made.append(FunctionInput(name, np.ascontiguousarray(values), levels, circular, smooth, told))
+    made.append(FunctionInput(name, np.ascontiguousarray(values), levels, circular, smooth, known))
 
 
 def count_levels(values: np.ndarray) -> int:
-    """Return the number of values that are distinct on a fine grid (`DENSE`) over their range."""
+    """Return the number of values that are distinct on a `FINE_GRID` over their range."""
     span = float(np.ptp(values)) or 1.0
-    return len(np.unique(np.round((DENSE - 1) * (values - values.min()) / span)))
+    return len(np.unique(np.round((FINE_GRID - 1) * (values - values.min()) / span)))

@@ -14,7 +14,7 @@ from longarm_comp.core.identify.posterior.offer import (
     OtherEffects,
     SingleEffect,
 )
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 
 AT_ONCE = 3
 """Largest number of single effects that one call adds. The forms of large effects must be fitted
@@ -70,14 +70,14 @@ def find_explanation(
     best = max(map(_drop_superfluous, starts), key=lambda e: e.evidence)
     if begun is not None:
         return best
-    shut_once: set[str] = set()
-    while left := [e for e in best.effects if e.offer.name not in shut_once]:
+    tried_without: set[str] = set()
+    while left := [e for e in best.effects if e.offer.name not in tried_without]:
         effect = left[0]
-        shut_once.add(effect.offer.name)
-        names = {bank.offers[n].name for n in np.flatnonzero(effect.q > UNLIKELY)}
-        shut = frozenset(n for n, offer in enumerate(bank.offers) if offer.name in names)
+        tried_without.add(effect.offer.name)
+        names = {bank.offers[n].name for n in np.flatnonzero(effect.probabilities > UNLIKELY)}
+        excluded = frozenset(n for n, offer in enumerate(bank.offers) if offer.name in names)
         others = tuple(e for e in best.effects if e is not effect)
-        without = _add_effects(bank, others, shut, min(len(others) + AT_ONCE, most))
+        without = _add_effects(bank, others, excluded, min(len(others) + AT_ONCE, most))
         again = _add_effects(bank, without.effects, frozenset(), most)
         again = max(map(_drop_superfluous, (without, again)), key=lambda e: e.evidence)
         if again.evidence > best.evidence + BETTER:
@@ -98,25 +98,25 @@ def as_certain(bank: OfferBank, known: Sequence[int]) -> list[SingleEffect]:
 
 
 def _add_effects(
-    bank: OfferBank, start: Sequence[SingleEffect], shut: frozenset[int], most: int
+    bank: OfferBank, start: Sequence[SingleEffect], excluded: frozenset[int], most: int
 ) -> Explanation:
     """Add single effects to `start`, until a new one is probably absent or there are `most`.
 
-    The offers whose numbers are in `shut` are excluded.
+    The offers whose numbers are in `excluded` are excluded.
     """
     effects = list(start)
     while len(effects) < most:
         count = len(effects)
         none = np.zeros(len(bank.offers)), np.zeros(len(bank.along))
         effects.append(SingleEffect(bank.offers, *none))
-        effects = [e for e in _sweep_effects(bank, effects, shut) if e.presence > 0.5]
+        effects = [e for e in _sweep_effects(bank, effects, excluded) if e.presence > 0.5]
         if len(effects) <= count:
             break
     return Explanation(bank, tuple(effects))
 
 
 def _sweep_effects(
-    bank: OfferBank, effects: list[SingleEffect], shut: frozenset[int]
+    bank: OfferBank, effects: list[SingleEffect], excluded: frozenset[int]
 ) -> list[SingleEffect]:
     """Update each effect from the residual of the others until no probability changes any more."""
     taken = np.sum([e.mean for e in effects], axis=0)
@@ -125,9 +125,11 @@ def _sweep_effects(
         for k in reversed(range(len(effects))):
             was = effects[k]
             rest = taken - was.mean
-            others = OtherEffects.of([*effects[:k], *effects[k + 1 :]], shut)
+            others = OtherEffects.of([*effects[:k], *effects[k + 1 :]], excluded)
             now = bank.compute_single_effect(bank.along - bank.gram @ rest, others)
-            moved = max(moved, float(np.abs(now.q - was.q).max(initial=0.0)))
+            moved = max(
+                moved, float(np.abs(now.probabilities - was.probabilities).max(initial=0.0))
+            )
             effects[k], taken = now, rest + now.mean
         if moved < UNLIKELY:
             break

@@ -86,22 +86,22 @@ def _average_samples(
     Returns the new state, and the effects that are dropped from it because few samples show them.
     """
     tolerance = search.weigh_tolerances(state.fit, state.found)[1]
-    linear = Resampling(
+    resampling = Resampling(
         state.fit, search.candidates, search.functions, state.found, tolerance, of_halves
     )
     found = tuple(
         f.add_rival(*absence[f.name]) if f.name in absence else f
-        for f in linear.average_samples(seed)
+        for f in resampling.average_samples(seed)
     )
     least = 0.5 * SAMPLES / (SAMPLES + len(of_halves))  # a half may have too few rows
     stable = tuple(f for f in found if f.presence > least)
     fewer = search.fit_with(state, stable) if len(stable) < len(found) else None
     if fewer is None:
-        return replace(state, found=found, tolerance=tolerance, linear=linear), ()
+        return replace(state, found=found, tolerance=tolerance, resampling=resampling), ()
     tolerance = search.weigh_tolerances(fewer.fit, fewer.found)[1]
-    linear = replace(linear, fit=fewer.fit, found=fewer.found, tolerance=tolerance)
+    resampling = replace(resampling, fit=fewer.fit, found=fewer.found, tolerance=tolerance)
     unstable = tuple(f for f in found if f.presence <= least)
-    return replace(fewer, tolerance=tolerance, linear=linear), unstable
+    return replace(fewer, tolerance=tolerance, resampling=resampling), unstable
 
 
 def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> ExplainedSession:
@@ -112,8 +112,8 @@ def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> Explain
     out if none of these is there.
     """
     soft, noise = any(t.elastic for t in state.chosen_terms), state.fit.noise_arguments
-    every = search.offer_by_tolerance(state.fit, state.found, others=False)
-    best = max(every, key=lambda b: b.evidence_pruned - b.tolerance.log_prior * soft)
+    offered = search.offer_by_tolerance(state.fit, state.found, others=False)
+    best = max(offered, key=lambda o: o.evidence_pruned - o.tolerance.log_prior * soft)
     fitted = fit_model(state.fit.model, search.session, begun=state.fit, **noise)
     if best.tolerance.compliance:
         fitted = fit_with_background(fitted, search.candidates, best.tolerance.compliance)
@@ -121,7 +121,7 @@ def _converge_fit(search: ExplanationSearch, state: ExplainedSession) -> Explain
     if idle and not any(e.loaded for e in fitted.model.effects if e.key not in idle):
         fitted = fit_model(fitted.model.without(idle), search.session, near=fitted, **noise)
     known = {t.variant: t for t in fitted.model.terms}
-    held = (replace(f, terms=tuple(known[t.variant] for t in f.terms)) for f in state.found)
+    held = (f.with_terms(known[t.variant] for t in f.terms) for f in state.found)
     return replace(state, fit=fitted, found=tuple(held), candidates=tuple(search.candidates))
 
 
@@ -134,7 +134,7 @@ def _start_soft(search: ExplanationSearch, state: ExplainedSession) -> Explained
     best = search.repeat_until_best(state)
     for c in search.candidates:
         if len(c.terms) > 1 and c.terms[0].elastic:
-            every = (FoundEffect(c.terms, 1.0, 0.0),)
+            every = (FoundEffect.of(c.terms, 1.0, 0.0),)
             here, there = (
                 search.evidence_refitted(best, found, best_places=True)
                 for found in (best.found, every)
@@ -203,8 +203,9 @@ def _compare_rivals(
     state = replace(
         state, fit=fit_model(was.model, search.session, begun=was, **was.noise_arguments)
     )
-    banks = search.offer_by_tolerance(state.fit, state.found)
-    found, doubtful = max(banks, key=lambda b: b.evidence_of_known).judge_found(state.found, banks)
+    offered = search.offer_by_tolerance(state.fit, state.found)
+    best = max(offered, key=lambda o: o.evidence_of_known)
+    found, doubtful = best.judge_found(state.found, offered)
     sure = tuple(f for f in found if f.presence >= CREDIBLE)
     if len(sure) < len(found) and (fewer := search.fit_with(state, sure)) is not None:
         return fewer, (*doubtful, *(f for f in found if f.presence < CREDIBLE)), True

@@ -26,7 +26,8 @@ class ExplainedSession:
         noise: the last estimate of the noise.
         doubtful: effects whose presence is in doubt; they are not in the model.
         candidates: the library as it was offered last.
-        linear: the linear stage of the search, which can be repeated on other rows.
+        tolerance: the likeliest model tolerance.
+        resampling: its linear stage, which can be repeated on other rows.
     """
 
     fit: ModelFit
@@ -35,7 +36,7 @@ class ExplainedSession:
     doubtful: tuple[FoundEffect, ...] = ()
     candidates: tuple[Candidate, ...] = ()
     tolerance: ModelTolerance = RIGID
-    linear: Resampling | None = None
+    resampling: Resampling | None = None
 
     @property
     def chosen_terms(self) -> tuple[Term, ...]:
@@ -55,8 +56,8 @@ def widen_prior(found: FoundEffect) -> FoundEffect:
     """
     if not found.unnamed:
         return found
-    terms = tuple(
+    terms = (
         replace(t, scale=max(t.scale, LOOSE * abs(t.amount)))  # type: ignore
         for t in found.terms
     )
-    return replace(found, terms=terms, loose=True)
+    return found.with_terms(terms, loose=True)

@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.fit_columns import FitColumns
 from longarm_comp.core.calibration.linear import BETTER, OUTLIER
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.effects.effect import Effect
-from longarm_comp.core.identify.discover.inputs import DENSE, LOOKS
+from longarm_comp.core.identify.discover.inputs import FINE_GRID, GRID
 from longarm_comp.core.identify.posterior.offer import ROUNDING
 from longarm_comp.core.identify.posterior.offers import evidence_of_each
 
@@ -70,7 +70,7 @@ def refine_form(
     scales = term.scales()
     if (fit.weights == 0).any():
         ends = [(float(getattr(term, field)), low) for field, (low, _) in scales.items()]
-        lines = [np.linspace(low, high, DENSE).tolist() for low, high in scales.values()]
+        lines = [np.linspace(low, high, FINE_GRID).tolist() for low, high in scales.values()]
         crosses = [
             [*centre[:k], value, *centre[k + 1 :]]
             for centre in zip(*ends, strict=True)
@@ -110,7 +110,7 @@ def _search_scales(
             _nearest_values(float(getattr(here, f)), np.unique(v))
             for f, v in zip(fields, grid.T, strict=True)
         )
-        between = (np.linspace(low, high, LOOKS) for low, high in reach)
+        between = (np.linspace(low, high, GRID) for low, high in reach)
         grid = np.array(list(itertools.product(*between)))
     return here if best > least else term
 

@@ -38,23 +38,23 @@ class ProposedFunction:
 
 
 @dataclass(frozen=True)
-class Rival:
-    """Another name that may stand in the place of an effect.
+class PossibleCause:
+    """A name that an effect may have, at its best places and in its best form.
 
     Attributes:
-        candidate: its best places and form.
+        candidate: these places and this form, with estimated values.
         log_bayes_factor: evidence for it there, beside the other effects.
         probability: probability that it is the cause, given that there is one.
         judged: the name whose evidence it has. If no measurement distinguishes some names, one of
             them is judged, and they share its probability.
         log_prior: its log prior, given that there is an effect; the choice of places is included.
             None: that of any candidate of its name.
-        loose: as in `FoundEffect`.
+        loose: whether it is a function whose prior was widened to its amount (`widen_prior`).
     """
 
     candidate: Candidate
     log_bayes_factor: float
-    probability: float
+    probability: float = 1.0
     judged: str = ""
     log_prior: float | None = None
     loose: bool = False
@@ -72,39 +72,66 @@ class Rival:
 
 @dataclass(frozen=True)
 class FoundEffect:
-    """A single effect that was found, with its rivals.
+    """A single effect that was found, with all names that it may have.
 
     Attributes:
-        terms: the most probable terms, with their estimated values.
+        causes: its possible causes: the one in the model, then its rivals, the most probable first.
         presence: probability that the effect exists.
-        log_bayes_factor: evidence for it beside the other effects.
-        chance: probability of its name, given that the effect exists.
-        rivals: all other names that may be true instead, the most probable first.
         where: sets of places that explain the data nearly as well; its own set first.
         otherwise: its other places and forms, with the log odds of each against its own.
-        log_prior: as in `Rival`; None: that of any candidate of its name.
-        loose: whether it is a function whose prior was widened to its amount (`widen_prior`).
     """
 
-    terms: tuple[Term, ...]
+    causes: tuple[PossibleCause, ...]
     presence: float
-    log_bayes_factor: float
-    chance: float = 1.0
-    rivals: tuple[Rival, ...] = ()
     where: tuple[tuple[str, ...], ...] = ()
-    log_prior: float | None = None
-    loose: bool = False
     otherwise: tuple[tuple[Candidate, float], ...] = ()
+
+    @classmethod
+    def of(
+        cls,
+        terms: tuple[Term, ...],
+        presence: float,
+        log_bayes_factor: float,
+        log_prior: float | None = None,
+    ) -> FoundEffect:
+        """Make an effect that has no rivals."""
+        candidate = Candidate(terms[0].name, terms)
+        return cls((PossibleCause(candidate, log_bayes_factor, log_prior=log_prior),), presence)
+
+    @property
+    def cause(self) -> PossibleCause:
+        """The cause in the model."""
+        return self.causes[0]
+
+    @property
+    def rivals(self) -> tuple[PossibleCause, ...]:
+        """All other names that may be true instead, the most probable first."""
+        return self.causes[1:]
 
     @property
     def name(self) -> str:
-        """The most probable name; for a function without a name, that of its effect class."""
-        return self.terms[0].name
+        """The name of the cause in the model; of a function, that of its effect class."""
+        return self.cause.name
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """The terms of the cause in the model."""
+        return self.cause.candidate.terms
+
+    @property
+    def unnamed(self) -> bool:
+        """True for a function without a name, False for an effect of the library."""
+        return self.cause.unnamed
+
+    @property
+    def log_bayes_factor(self) -> float:
+        """The evidence for the cause in the model, beside the other effects."""
+        return self.cause.log_bayes_factor
 
     @property
     def names(self) -> dict[str, float]:
         """Probability of every name, given that the effect exists; its own name first."""
-        return {self.name: self.chance} | {r.name: r.probability for r in self.rivals}
+        return {c.name: c.probability for c in self.causes}
 
     @property
     def credible(self) -> tuple[str, ...]:
@@ -117,25 +144,18 @@ class FoundEffect:
         return 1.0 - CREDIBLE <= self.presence < CREDIBLE
 
     @property
-    def unnamed(self) -> bool:
-        """True for a function without a name, False for an effect of the library."""
-        return not self.terms[0].searched
-
-    @property
     def chance_unnamed(self) -> float:
         """Probability that the cause has no name, given that the effect exists."""
-        others = sum(r.probability for r in self.rivals if r.unnamed)
-        return others + self.chance if self.unnamed else others
+        return sum(c.probability for c in self.causes if c.unnamed)
 
     @property
-    def chance_seen(self) -> float:
-        """Probability that it is a bias: it exists, and moves the sighting, not the tip."""
-        biases = (r for r in self.rivals if isinstance(r.candidate.terms[0], Bias))
-        others = sum(r.probability for r in biases)
-        return others + self.chance if isinstance(self.terms[0], Bias) else others
+    def chance_bias(self) -> float:
+        """Probability that it moves the sighting, not the tip, given that the effect exists."""
+        biases = (c for c in self.causes if isinstance(c.candidate.terms[0], Bias))
+        return sum(c.probability for c in biases)
 
     @property
-    def fitted_rivals(self) -> list[Rival]:
+    def fitted_rivals(self) -> list[PossibleCause]:
         """The rivals to judge by a fit: one of each group that measurements distinguish from it."""
         return [r for r in self.rivals if r.name == r.judged != self.name]
 
@@ -154,15 +174,7 @@ class FoundEffect:
             return self, False
         stays, *goes = softmax([0.0, *worth.values()]).tolist()
         chances = dict(zip(worth, goes, strict=True))
-        mine = Rival(
-            Candidate(self.name, self.terms),
-            self.log_bayes_factor,
-            self.chance,
-            self.name,
-            self.log_prior,
-            self.loose,
-        )
-        every = [mine, *self.rivals]
+        every = [replace(self.cause, judged=self.name), *self.rivals]
         unfitted = sum(r.probability for r in every if r.judged not in worth) or 1.0
         shared = Counter(r.judged for r in every)
         every = [
@@ -186,28 +198,25 @@ class FoundEffect:
             odds: log odds of that explanation against all that use one of its names.
         """
         share = float(expit(odds))
+        known = [replace(c, probability=(1.0 - share) * c.probability) for c in self.causes]
+        rivals = {c.name: c for c in known[1:]}
         worth = self.log_bayes_factor + odds
-        new = Rival(Candidate(other.name, other.terms), worth, 0.0, other.name)
-        rivals = {other.name: new} | {
-            r.name: replace(r, probability=(1.0 - share) * r.probability) for r in self.rivals
-        }
-        mine = rivals[other.name]
-        rivals[other.name] = replace(mine, probability=mine.probability + share)
-        ordered = sorted(rivals.values(), key=lambda r: -r.probability)
-        return replace(self, chance=(1.0 - share) * self.chance, rivals=tuple(ordered))
+        new = PossibleCause(other.cause.candidate, worth, 0.0, other.name)
+        new = rivals.get(other.name, new)
+        rivals[other.name] = replace(new, probability=new.probability + share)
+        return self.put_first(known[0], rivals.values())
 
-    def put_first(self, first: Rival, others: Sequence[Rival]) -> FoundEffect:
+    def put_first(self, first: PossibleCause, others: Iterable[PossibleCause]) -> FoundEffect:
         """Return the effect under the name of `first`, with the others as its rivals."""
-        return replace(
-            self,
-            terms=first.candidate.terms,
-            log_bayes_factor=first.log_bayes_factor,
-            chance=first.probability,
-            log_prior=first.log_prior,
-            loose=first.loose,
-            otherwise=self.otherwise if first.name == self.name else (),
-            rivals=tuple(sorted(others, key=lambda r: -r.probability)),
-        )
+        rivals = sorted(others, key=lambda r: -r.probability)
+        same = first.name == self.name
+        return replace(self, causes=(first, *rivals), otherwise=self.otherwise if same else ())
+
+    def with_terms(self, terms: Iterable[Term], loose: bool = False) -> FoundEffect:
+        """Return the effect with other values or forms, or a wider prior, of the same terms."""
+        candidate = Candidate(self.name, tuple(terms))
+        first = replace(self.cause, candidate=candidate, loose=loose or self.cause.loose)
+        return replace(self, causes=(first, *self.rivals))
 
 
 def keys_of(found: Iterable[FoundEffect]) -> set[tuple[str, str]]:

@@ -72,23 +72,23 @@ class OtherEffects:
     """The limits that the other effects of an explanation set to one effect.
 
     Attributes:
-        shut: numbers of the offers that are excluded.
+        excluded: numbers of the offers that are excluded.
         held: places that other effects take.
         names: names of other effects.
         sites: sites of the other effects that are functions without a name.
     """
 
-    shut: frozenset[int] = frozenset()
+    excluded: frozenset[int] = frozenset()
     held: frozenset[Hashable] = frozenset()
     names: frozenset[str] = frozenset()
     sites: frozenset[str] = frozenset()
 
     @classmethod
-    def of(cls, effects: Sequence[SingleEffect], shut: frozenset[int]) -> OtherEffects:
+    def of(cls, effects: Sequence[SingleEffect], excluded: frozenset[int]) -> OtherEffects:
         """Summarise other effects; names and sites are those of effects that are probably there."""
         there = [e for e in effects if e.presence > 0.5]
         return cls(
-            shut,
+            excluded,
             frozenset(key for e in effects for key in e.held_places),
             frozenset(e.offer.name for e in there),
             frozenset(e.offer.site for e in there if e.offer.site),
@@ -101,25 +101,25 @@ class SingleEffect:
 
     Attributes:
         offered: the C offers of the bank.
-        q: (C,) probability of every offer; no effect has 1 less their sum.
+        probabilities: (C,) of the offers; no effect has 1 less their sum.
         mean: (K,) mean coefficients of the bank's columns.
         changed: what is left of offers that lost places to other effects, by offer number.
     """
 
     offered: Sequence[Offer]
-    q: np.ndarray
+    probabilities: np.ndarray
     mean: np.ndarray
     changed: dict[int, Offer] = field(default_factory=dict)
 
     @cached_property
     def presence(self) -> float:
         """Probability that it is there at all."""
-        return min(float(self.q.sum()), 1.0)
+        return min(float(self.probabilities.sum()), 1.0)
 
     @cached_property
     def best(self) -> int:
         """The number of the most probable offer; of equals, within rounding, the first."""
-        return int(np.argmax(self.q >= (1.0 - ROUNDING) * self.q.max()))
+        return int(np.argmax(self.probabilities >= (1.0 - ROUNDING) * self.probabilities.max()))
 
     @cached_property
     def offer(self) -> Offer:
@@ -130,9 +130,9 @@ class SingleEffect:
     def held_places(self) -> frozenset[Hashable]:
         """Places that it takes with a probability above 0.5."""
         chance: dict[Hashable, float] = {}
-        for number in np.flatnonzero(self.q > UNLIKELY).tolist():
+        for number in np.flatnonzero(self.probabilities > UNLIKELY).tolist():
             for key in self._offer_of(number).keys:
-                chance[key] = chance.get(key, 0.0) + float(self.q[number])
+                chance[key] = chance.get(key, 0.0) + float(self.probabilities[number])
         return frozenset(key for key, p in chance.items() if p > 0.5)
 
     def _offer_of(self, number: int) -> Offer:

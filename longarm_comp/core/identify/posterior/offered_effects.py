@@ -20,12 +20,12 @@ from longarm_comp.core.identify.posterior.found import (
     CREDIBLE,
     NONE,
     FoundEffect,
-    Rival,
+    PossibleCause,
     keys_of,
     smallest_set,
 )
 from longarm_comp.core.identify.posterior.offer import Offer, SingleEffect
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.model.encoders import tell_apart
 from longarm_comp.core.model.model import slots_of
 
@@ -86,12 +86,12 @@ class OfferedEffects:
         every = []
         for k, (effect, offer, value) in enumerate(zip(best.effects, offers, values, strict=True)):
             terms, factor = self._terms_of(effect.best, offer, value), self._bayes_factor(offers, k)
-            every.append(FoundEffect(terms, effect.presence, factor, log_prior=offer.log_prior))
+            every.append(FoundEffect.of(terms, effect.presence, factor, offer.log_prior))
         found = tuple(f for f in every if f.presence >= CREDIBLE)
         doubtful = tuple(f for f in every if f.presence < CREDIBLE)
         return PosteriorResult(found, doubtful, self.base + evidence, best.effects)
 
-    def single_effects(self) -> tuple[FoundEffect, ...]:
+    def find_with_names(self) -> tuple[FoundEffect, ...]:
         """Return the effects of the best explanation, each with all names that it may have.
 
         This is faster than `find_best`: the search also starts from the known effects, but not
@@ -101,21 +101,21 @@ class OfferedEffects:
         best = find_explanation(self.bank, self.known, as_certain(self.bank, self.known))
         for effect in best.effects:
             shares: dict[str, tuple[float, Candidate]] = {}
-            for n in np.flatnonzero(effect.q > IMPOSSIBLE).tolist():
+            for n in np.flatnonzero(effect.probabilities > IMPOSSIBLE).tolist():
                 terms = self.candidates[n].terms
                 alike = [self._candidate_of_name(name, terms) for name in self._list_aliases(terms)]
                 alike.insert(0, Candidate(terms[0].name, terms))
                 for one in alike:
                     before, first = shares.get(one.name, (0.0, one))
-                    share = float(effect.q[n]) / effect.presence / len(alike)
+                    share = float(effect.probabilities[n]) / effect.presence / len(alike)
                     shares[one.name] = before + share, first
             offer = effect.offer
             terms = self._terms_of(effect.best, offer, effect.mean[list(offer.column_numbers)])
             worth = math.log(effect.presence) - math.log1p(-min(effect.presence, 1.0 - 1e-16))
-            rivals = (Rival(c, worth, p) for name, (p, c) in shares.items() if name != offer.name)
-            made.append(
-                FoundEffect(terms, effect.presence, worth, shares[offer.name][0], tuple(rivals))
-            )
+            share, _ = shares.pop(offer.name)
+            mine = PossibleCause(Candidate(offer.name, terms), worth, share)
+            rivals = (PossibleCause(one, worth, share) for share, one in shares.values())
+            made.append(FoundEffect((mine, *rivals), effect.presence))
         return tuple(made)
 
     def evidence_of(self, explained: PosteriorResult) -> float:
@@ -142,13 +142,13 @@ class OfferedEffects:
         return self.base + max(map(self.bank.evidence, (offers, self._drop_idle_places(offers))))
 
     def judge_found(
-        self, found: Sequence[FoundEffect], banks: Sequence[OfferedEffects]
+        self, found: Sequence[FoundEffect], every: Sequence[OfferedEffects]
     ) -> tuple[tuple[FoundEffect, ...], tuple[FoundEffect, ...]]:
         """Judge the presence and the rivals of the effects in the model.
 
         Args:
             found: the effects in the model.
-            banks: the offers by every tolerance, this one included. An effect is compared with its
+            every: the offers by every tolerance, this one included. An effect is compared with its
                 absence at the best tolerance, because a larger error of another effect's form may
                 explain as much.
 
@@ -163,13 +163,10 @@ class OfferedEffects:
             k = number.get(list_variants(f.terms))
             if k is not None:
                 rest = [*offers[:k], *offers[k + 1 :]]
-                without = max(b.base + b.bank.evidence(rest) for b in banks)
-                f = dataclasses.replace(
-                    f,
-                    terms=tuple(fitted[t.key] for t in f.terms),
-                    presence=float(expit(self.evidence_of_known - without)),
-                    log_prior=offers[k].log_prior,
-                )
+                without = max(each.base + each.bank.evidence(rest) for each in every)
+                presence = float(expit(self.evidence_of_known - without))
+                f = dataclasses.replace(f, presence=presence)
+                f = f.with_terms(fitted[t.key] for t in f.terms)
                 made.append(self._add_rivals(f, offers, k))
         held = keys_of(found)
         besides = self.find_best(as_certain(self.bank, self.known)).doubtful
@@ -196,7 +193,7 @@ class OfferedEffects:
             elif odds > likeliest.get(offer.name, (-math.inf,))[0]:
                 likeliest[offer.name] = odds, n, tried[int(np.argmax(worth))], rest
         first = [self._candidate_of_name(n, found.terms) for n in self._list_aliases(found.terms)]
-        mine = [Candidate(found.name, found.terms), *first]
+        mine = [found.cause.candidate, *first]
         judged = [(0.0, own, offers[k].log_prior, mine)]
         names = {c.name for c in mine}
         for odds, n, offer, rest in sorted(likeliest.values(), key=lambda r: -r[0]):
@@ -214,7 +211,7 @@ class OfferedEffects:
             names |= {c.name for c in alike}
         chances = softmax([odds for odds, *_ in judged]).tolist()
         leader, *others = (
-            Rival(candidate, factor, chance / len(alike), alike[0].name, prior)
+            PossibleCause(candidate, factor, chance / len(alike), alike[0].name, prior)
             for chance, (_, factor, prior, alike) in zip(chances, judged, strict=True)
             for candidate in alike
         )
@@ -224,7 +221,7 @@ class OfferedEffects:
         where = dict(sorted(where.items(), key=lambda w: -w[1]))
         otherwise.pop(list_variants(found.terms), None)
         found = dataclasses.replace(found, otherwise=tuple(otherwise.values()))
-        found = found.put_first(dataclasses.replace(leader, loose=found.loose), others)
+        found = found.put_first(dataclasses.replace(leader, loose=found.cause.loose), others)
         return dataclasses.replace(found, where=smallest_set(where))
 
     def _list_substitutes(
@@ -276,7 +273,7 @@ class OfferedEffects:
         here = self.bank.evidence(offers) if len(offers[k].keys) > 1 else 0.0
         while len(offers[k].keys) > 1:
             less = (offers[k].without({key}) for key in offers[k].keys)
-            fewer = [offer for offer in less if not self.bank.has_a_name(offer)]
+            fewer = [offer for offer in less if not self.bank.imitates_a_name(offer)]
             if not fewer:
                 break
             tried = self.bank.evidence_of_sets([[*offers[:k], o, *offers[k + 1 :]] for o in fewer])

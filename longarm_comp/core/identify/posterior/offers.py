@@ -30,9 +30,9 @@ from longarm_comp.core.identify.posterior.found import (
     keys_of,
 )
 from longarm_comp.core.identify.posterior.offer import Offer
+from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offer_table import Coefficients
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.single_effects import OfferBank
 from longarm_comp.core.identify.structure import legendre_polynomials
 from longarm_comp.core.model.model import slots_of
 
@@ -81,7 +81,7 @@ def make_offers(
     own = slice(tolerated.shape[1], None)
     moving, plain = _make_offers_that_move(arm, np.diag(gram)[own], stacked, listed)
     every = OfferBank(plain, gram[own, own], along[own], stacked.coefficients)
-    kept = [n for n, offer in enumerate(plain) if not every.has_a_name(offer)]
+    kept = [n for n, offer in enumerate(plain) if not every.imitates_a_name(offer)]
     candidates, plain = [listed[moving[n]].candidate for n in kept], [plain[n] for n in kept]
     at = {list_variants(c.terms): n for n, c in enumerate(candidates)}
     known = tuple(at[list_variants(f.terms)] for f in found if list_variants(f.terms) in at)
@@ -134,9 +134,9 @@ def _list_with_prices(
     for f in found:
         if list_variants(f.terms) not in offered_now:
             prior = share - math.log(forms[f.name]) if f.name in forms else math.log(UNNAMED)
-            prior = prior if f.log_prior is None else f.log_prior
-            sizes = (AMPLITUDES, even) if f.unnamed and not f.loose else (SIZES, CHANCES)
-            listed.append(_Listed(Candidate(f.name, f.terms), prior, *sizes))
+            prior = prior if f.cause.log_prior is None else f.cause.log_prior
+            sizes = (AMPLITUDES, even) if f.unnamed and not f.cause.loose else (SIZES, CHANCES)
+            listed.append(_Listed(f.cause.candidate, prior, *sizes))
     return listed
 
 

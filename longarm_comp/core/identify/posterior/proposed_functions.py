@@ -26,7 +26,7 @@ from longarm_comp.core.identify.discover.bank import (
     make_term,
 )
 from longarm_comp.core.identify.discover.functions import REFINED, vary_shape
-from longarm_comp.core.identify.discover.inputs import DENSE
+from longarm_comp.core.identify.discover.inputs import FINE_GRID
 from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, keys_of
 from longarm_comp.core.identify.posterior.offers import tolerance_columns
@@ -83,8 +83,8 @@ def propose_functions(
         # One prior standard deviation of each moves the rows by one noise, rms, times its decay
         scales = np.array(candidate.decay) / bank.unit_shifts(candidate)
         terms = tuple(
-            make_term(place, f.text, f.domain, float(scale))
-            for (place, f), scale in zip(candidate.members, scales, strict=True)
+            make_term(spot, f.text, f.domain, float(scale))
+            for (spot, f), scale in zip(candidate.members, scales, strict=True)
         )
         made.append(ProposedFunction(terms, candidate.log_prior))
     return tuple(made)
@@ -105,11 +105,11 @@ def _rank_bank(
     """Return the best of the candidates of each kind, and the very best also in refined form."""
     made, each = [], SHORTLIST // len(kinds)  # so that similar functions leave room for others
     for some in kinds:
-        weighed = _rank_by_odds(bank, marginal, [h for h in some if not _is_constant_shift(h)])
-        made += [_Ranked(worth, h, bank, n == 0) for n, (worth, h) in enumerate(weighed[:each])]
+        weighed = _rank_by_odds(bank, marginal, [c for c in some if not _is_constant_shift(c)])
+        made += [_Ranked(worth, c, bank, n == 0) for n, (worth, c) in enumerate(weighed[:each])]
     made.sort(key=lambda one: -one.worth)
     best = [(one.worth, one.candidate) for one in made[:REFINED]]
-    refined = (_Ranked(worth, h, bank) for worth, h in _refine_shapes(bank, marginal, best))
+    refined = (_Ranked(worth, c, bank) for worth, c in _refine_shapes(bank, marginal, best))
     return [*made, *refined]
 
 
@@ -130,8 +130,10 @@ def _rank_by_odds(
 def _is_constant_shift(candidate: FunctionCandidate) -> bool:
     """Tell whether a candidate is a constant displacement, which geometry can explain."""
     still = all(not function.factors for _, function in candidate.members)
-    rigid = (isinstance(COMPONENTS.get(p.component), (Move, Turn)) for p, _ in candidate.members)
-    seen = (p.at == CAMERA and p.component in AXES for p, _ in candidate.members)
+    rigid = (
+        isinstance(COMPONENTS.get(spot.component), (Move, Turn)) for spot, _ in candidate.members
+    )
+    seen = (spot.at == CAMERA and spot.component in AXES for spot, _ in candidate.members)
     return still and all(a or b for a, b in zip(rigid, seen, strict=True))
 
 
@@ -141,10 +143,10 @@ def _refine_shapes(
     """Yield each candidate with its best thresholds or frequencies: a coarse and a fine search."""
     for best in first:
         prior = best[1].log_prior - math.log(REFINED)
-        for width in (1.0, 2.0 / (DENSE - 1)):  # then between the neighbours of the best
+        for width in (1.0, 2.0 / (FINE_GRID - 1)):  # then between the neighbours of the best
             tried = (
-                dataclasses.replace(h, log_prior=prior)
-                for h in _vary_candidate(bank, best[1], width)
+                dataclasses.replace(c, log_prior=prior)
+                for c in _vary_candidate(bank, best[1], width)
             )
             best = max(
                 (best, *_rank_by_odds(bank, marginal, list(tried))), key=lambda each: each[0]
@@ -163,7 +165,7 @@ def _vary_candidate(
         for moved in zip(*(vary_shape(f, by_name[f.of], width) for f in bent), strict=True):
             other: dict[Shape, Shape] = dict(zip(bent, moved, strict=True))
             members = tuple(
-                (place, Function(tuple(other.get(f, f) for f in function.factors)))
-                for place, function in candidate.members
+                (spot, Function(tuple(other.get(f, f) for f in function.factors)))
+                for spot, function in candidate.members
             )
             yield dataclasses.replace(candidate, members=members)

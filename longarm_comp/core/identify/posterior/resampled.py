@@ -20,7 +20,12 @@ from longarm_comp.core.calibration.linear import Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit
 from longarm_comp.core.data.holdout import draw_row_counts
 from longarm_comp.core.identify.model_tolerance import ModelTolerance
-from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, Rival, keys_of
+from longarm_comp.core.identify.posterior.found import (
+    FoundEffect,
+    PossibleCause,
+    ProposedFunction,
+    keys_of,
+)
 from longarm_comp.core.identify.posterior.offers import make_offers
 
 SAMPLES = 12
@@ -55,7 +60,7 @@ class Resampling:
         (bank,) = make_offers(
             self.fit, self.candidates, self.functions, self.found, [self.tolerance], counts=counts
         )
-        return bank.single_effects()
+        return bank.find_with_names()
 
     def average_samples(self, seed: int) -> tuple[FoundEffect, ...]:
         """Return the found effects with probabilities averaged over samples of the rows.
@@ -85,8 +90,8 @@ class Resampling:
         there, chances = 0.0, dict.fromkeys(found.names, 0.0)
         linear = self._in_its_place(found, whole)
         by_columns = {} if linear is None else linear.names
-        fitted = {n: p / by_columns[n] for n, p in found.names.items() if by_columns.get(n)}
-        named = {r.name: r.candidate for r in found.rivals}
+        correction = {n: p / by_columns[n] for n, p in found.names.items() if by_columns.get(n)}
+        named = {c.name: c.candidate for c in found.causes}
         for n, effects in enumerate(samples):
             other = self._in_its_place(found, effects)
             if other is None:
@@ -94,9 +99,8 @@ class Resampling:
             if n >= SAMPLES and linear is not None and other.name in found.credible:
                 other = replace(linear, presence=other.presence)
             there += other.presence / len(samples)
-            theirs = {other.name: Candidate(other.name, other.terms)}
-            theirs |= {r.name: r.candidate for r in other.rivals}
-            likely = {name: p * fitted.get(name, 1.0) for name, p in other.names.items()}
+            theirs = {c.name: c.candidate for c in other.causes}
+            likely = {name: p * correction.get(name, 1.0) for name, p in other.names.items()}
             for name, chance in likely.items():
                 share = other.presence * chance / sum(likely.values())
                 chances[name] = chances.get(name, 0.0) + share / len(samples)
@@ -105,17 +109,13 @@ class Resampling:
         if not total:
             return replace(found, presence=0.0)
         own = max(chances[found.name], 1e-300)
-        rivals = {r.name: r for r in found.rivals}
-        for name in named.keys() - {found.name}:
+        causes = {c.name: c for c in found.causes}
+        for name in sorted(named):
             factor = found.log_bayes_factor + math.log(max(chances[name], 1e-300) / own)
-            rival = rivals.get(name, Rival(named[name], factor, 0.0))
-            rivals[name] = replace(rival, probability=chances[name] / total)
-        return replace(
-            found,
-            presence=min(there, found.presence),
-            chance=chances[found.name] / total,
-            rivals=tuple(sorted(rivals.values(), key=lambda r: (-r.probability, r.name))),
-        )
+            cause = causes.pop(name, PossibleCause(named[name], factor))
+            causes[name] = replace(cause, probability=chances[name] / total)
+        first = causes.pop(found.name)
+        return replace(found.put_first(first, causes.values()), presence=min(there, found.presence))
 
     def _in_its_place(
         self, found: FoundEffect, effects: Sequence[FoundEffect]

@@ -9,7 +9,7 @@ explanation is better.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from longarm_comp.core.calibration.candidates import Candidate, distinct_terms
@@ -285,9 +285,7 @@ class ExplanationSearch:
             terms = list(moved.values())
             for term in moved.values():
                 self.say(Candidate(term.name, (term,)).label)
-            found = tuple(
-                replace(f, terms=tuple(moved.get(t.key, t) for t in f.terms)) for f in state.found
-            )
+            found = tuple(f.with_terms(moved.get(t.key, t) for t in f.terms) for f in state.found)
             taken = self.fit_with(state, found)
             before = measure_agreement(state.fit, state.fit.residual)
             if taken is None or measure_agreement(state.fit, taken.fit.residual) < before + BETTER:

@@ -45,10 +45,10 @@ class OfferBank:
         names: number of names that an effect may have, on offer or not; None: those on offer.
 
     Attributes:
-        again: prior log odds that the next effect has a name that is there already, against those
-            of a new name. A fault of one joint is likely at others too, so both cases have half of
-            the probability.
-        together: prior log odds that a cause without a name has a further function at its site,
+        same_name: prior log odds that the next effect has a name that is there already, against
+            those of a new name. A fault of one joint is likely at others too, so both cases have
+            half of the probability.
+        same_site: prior log odds that a cause without a name has a further function at its site,
             against those of another cause. A cause such as a hose often needs several functions. So
             a further one does not pay again for an effect, a cause without a name and its site.
     """
@@ -66,8 +66,8 @@ class OfferBank:
         self.gram, self.along, self.coefficients = gram, along, coefficients
         each = np.array([offer.name for offer in offers])
         self._of_name = {name: each == name for name in set(each.tolist())}
-        self.again = math.log(max(0.5 * (names or len(self._of_name)), 1.0))
-        self.together = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
+        self.same_name = math.log(max(0.5 * (names or len(self._of_name)), 1.0))
+        self.same_site = NONE + math.log(0.5 / UNNAMED) + math.log(sites)
         sites_of = np.array([offer.site for offer in offers])
         self._at_site = {site: sites_of == site for site in set(sites_of.tolist())}
         # By the places that other effects take; most of these leave the same of the offers
@@ -79,7 +79,7 @@ class OfferBank:
     def _table(self) -> OfferTable:
         return OfferTable(self.gram, self.coefficients, dict(enumerate(self.offers)))
 
-    def has_a_name(self, offer: Offer) -> bool:
+    def imitates_a_name(self, offer: Offer) -> bool:
         """Tell whether an offer is a function without a name that moves the rows as a named effect.
 
         Then it is only another description of that effect. Two columns count as the same within
@@ -108,11 +108,11 @@ class OfferBank:
         scores[reduced.numbers] = -np.inf
         if reduced.left:
             scores[reduced.table.numbers], rest = reduced.table.score_offers(along)
-        scores[list(others.shut)] = -np.inf
+        scores[list(others.excluded)] = -np.inf
         for name in others.names:
-            scores[self._of_name[name]] += self.again
+            scores[self._of_name[name]] += self.same_name
         for site in others.sites:  # whose name is among the names
-            scores[self._at_site[site]] += self.together - self.again
+            scores[self._at_site[site]] += self.same_site - self.same_name
         top = max(float(scores.max(initial=-np.inf)), 0.0)
         weights = np.exp(scores - top)
         q = weights / (weights.sum() + math.exp(-top))
@@ -199,7 +199,7 @@ class OfferBank:
             together = len(sites) - len(set(sites))
             again = len(chosen) - len({offer.name for offer in chosen}) - together
             totals[n] = sum(offer.log_prior - NONE for offer in chosen)
-            totals[n] += self.again * again + self.together * together
+            totals[n] += self.same_name * again + self.same_site * together
             whole = [k for offer in chosen if offer.fixed for k in offer.column_numbers]
             if whole:
                 shared = self.gram[whole].sum(0)
