@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 
@@ -32,6 +33,20 @@ def blocked_split(
         if held.sum() >= fraction * len(session) and seen_poses >= 30:
             break
     return session.take(~held), session.take(held)
+
+
+def mark_copies(rows: Session, fitted: Session) -> np.ndarray:
+    """Mark (M,) the rows that repeat joints and measurement of a fitted row to the last digit."""
+    kinds = [kind for kind in KINDS.values() if kind.cells]
+    names = {"marker", *(kind.label for kind in KINDS.values() if kind.label)}
+
+    def contents(some: Session) -> list[tuple[object, ...]]:
+        numbers = np.column_stack([some.q, *(some.reading(kind) for kind in kinds)])
+        texts = (some.texts(name) for name in sorted(names))
+        return list(zip((row.tobytes() for row in numbers), *texts, strict=True))
+
+    known = set(contents(fitted))
+    return np.array([each in known for each in contents(rows)], dtype=bool)
 
 
 FOLDS, MORE_FOLDS = 5, 10
