@@ -36,14 +36,20 @@ def blocked_split(
 
 
 def mark_copies(rows: Session, fitted: Session) -> np.ndarray:
-    """Mark (M,) the rows that repeat joints and measurement of a fitted row to the last digit."""
-    kinds = [kind for kind in KINDS.values() if kind.cells]
-    names = {"marker", *(kind.label for kind in KINDS.values() if kind.label)}
+    """Mark (M,) the rows that repeat joints and measurement of a fitted row to the last digit.
+
+    A position alone tells; other measurements count where there is none.
+    """
+    further = [kind for kind in KINDS.values() if kind.name != "position"]
 
     def contents(some: Session) -> list[tuple[object, ...]]:
-        numbers = np.column_stack([some.q, *(some.reading(kind) for kind in kinds)])
-        texts = (some.texts(name) for name in sorted(names))
-        return list(zip((row.tobytes() for row in numbers), *texts, strict=True))
+        placed = some.has_position
+        others = np.column_stack([some.reading(kind) for kind in further if kind.cells])
+        others[placed] = np.nan
+        texts = [np.where(placed, "", some.texts(kind.label)) for kind in further if kind.label]
+        numbers = np.column_stack([some.q, some.xyz, others])
+        each = (row.tobytes() for row in numbers)
+        return list(zip(each, some.texts("marker"), *texts, strict=True))
 
     known = set(contents(fitted))
     return np.array([each in known for each in contents(rows)], dtype=bool)

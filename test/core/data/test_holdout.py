@@ -37,19 +37,23 @@ def diagnosed(rows: Session, held: Session | None = None) -> Diagnosis:
 
 
 def test_a_row_to_hold_out_that_is_fitted_is_marked() -> None:
-    """Another measurement of the pose, another marker and another orientation are other rows."""
     rows = session(GAIN, n=30)
-    turned = np.tile([0.0, 0.0, 0.0, 1.0], (30, 1))
-    also = dataclasses.replace(rows, index=rows.index + 7, columns={})
-    assert mark_copies(also, rows).all()
+    readings = {"distance": rows.xyz[:, :1]}
+    far = dataclasses.replace(
+        rows, xyz=np.full((30, 3), np.nan), readings=readings, blocks=(),
+        labels={"anchor": np.full(30, "a")},
+    )  # fmt: skip
+    also = dataclasses.replace(rows, index=rows.index + 7, readings=readings, labels=far.labels)
+    assert mark_copies(also, rows).all()  # whatever else was measured beside
     assert mark_copies(rows, rows.take(slice(3, 9))).nonzero()[0].tolist() == list(range(3, 9))
-    for other in (
-        dataclasses.replace(rows, xyz=rows.xyz + 1e-9),
-        dataclasses.replace(rows, q=rows.q + 1e-9),
-        dataclasses.replace(rows, labels={"marker": np.full(30, "a")}),
-        dataclasses.replace(rows, readings={"orientation": turned}, blocks=()),
+    for of, other in (
+        (rows, dataclasses.replace(rows, xyz=rows.xyz + 1e-9)),
+        (rows, dataclasses.replace(rows, q=rows.q + 1e-9)),
+        (rows, dataclasses.replace(rows, labels={"marker": np.full(30, "a")})),
+        (far, dataclasses.replace(far, readings={"distance": far.readings["distance"] + 1e-9})),
+        (far, dataclasses.replace(far, labels={"anchor": np.full(30, "b")})),
     ):
-        assert not mark_copies(other, rows).any()
+        assert not mark_copies(other, of).any()
         assert mark_copies(other, other).all()
 
 
