@@ -13,6 +13,7 @@ from longarm_comp.core.arm.arm import Arm
 from longarm_comp.core.calibration.calibrate import Errors
 from longarm_comp.core.calibration.uncertainty import measure_uncertainty
 from longarm_comp.core.data.admission import FEW_POSES
+from longarm_comp.core.data.holdout import mark_copies
 from longarm_comp.core.data.plan import Plan
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import origin
@@ -228,6 +229,8 @@ def diagnose(
         if rows is not None and not rows.placed.any():
             allowed = "rows that say where the tip is (longarm calibrate takes orientations alone)"
             raise InputError(rows.source, "x, y, z", "blank in all rows", allowed)
+    if held_out is not None:
+        held_out = _leave_out_copies(held_out, whole, note)
     kind, origin_of_kind = kind_from(arm, kind_of) if kind_of else (None, "")
 
     def train_on(fitted: Model, rows: Session) -> Predictor:
@@ -255,6 +258,17 @@ def diagnose(
     facts |= {f"effect {k.name}": origin(k) for k in kinds if origin(k)}
     recorded = _path_of(session) if _path_of(session).exists() else None
     return DiagnosisResult(found, whole.hash, facts, before, recorded)
+
+
+def _leave_out_copies(held_out: Session, fitted: Session, note: inputs.Note) -> Session:
+    """Return the rows to hold out without those that are fitted, which would prove nothing."""
+    copies = mark_copies(held_out, fitted)
+    if copies.all():
+        allowed = "rows that are not fitted; or none: then blocks of the session are held out"
+        raise held_out.error("rows", f"all {len(copies)} are rows of {fitted.source}", allowed)
+    if copies.any():
+        note(f"{held_out.source}: {copies.sum()} of {len(copies)} rows left out: they are fitted")
+    return held_out.take(~copies)
 
 
 def diagnose_files(

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from longarm_comp.core.data.kinds import KINDS
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.errors import InputError
 
@@ -32,6 +33,26 @@ def blocked_split(
         if held.sum() >= fraction * len(session) and seen_poses >= 30:
             break
     return session.take(~held), session.take(held)
+
+
+def mark_copies(rows: Session, fitted: Session) -> np.ndarray:
+    """Mark (M,) the rows that repeat joints and measurement of a fitted row to the last digit.
+
+    A position alone tells; other measurements count where there is none.
+    """
+    further = [kind for kind in KINDS.values() if kind.name != "position"]
+
+    def contents(some: Session) -> list[tuple[object, ...]]:
+        placed = some.has_position
+        others = np.column_stack([some.reading(kind) for kind in further if kind.cells])
+        others[placed] = np.nan
+        texts = [np.where(placed, "", some.texts(kind.label)) for kind in further if kind.label]
+        numbers = np.column_stack([some.q, some.xyz, others])
+        each = (row.tobytes() for row in numbers)
+        return list(zip(each, some.texts("marker"), *texts, strict=True))
+
+    known = set(contents(fitted))
+    return np.array([each in known for each in contents(rows)], dtype=bool)
 
 
 FOLDS, MORE_FOLDS = 5, 10

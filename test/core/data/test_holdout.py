@@ -8,7 +8,7 @@ import pytest
 from hidden_arm import at, session
 from small_arm import ARM
 
-from longarm_comp.core.data.holdout import draw_row_counts, folds_of, split_in_half
+from longarm_comp.core.data.holdout import draw_row_counts, folds_of, mark_copies, split_in_half
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.discovered import Discovered
 from longarm_comp.core.effects.drive_errors import JointGain
@@ -24,12 +24,59 @@ from longarm_comp.core.identify.posterior.search import ExplanationSearch
 from longarm_comp.core.identify.proof import describe_worsening
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
+from longarm_comp.workflows.diagnose import diagnose
 
 GAIN = (drives.JointGain(at(2, 0.02)),)
 
 
 def diagnosed(rows: Session, held: Session | None = None) -> Diagnosis:
     return core.diagnose(ARM, rows, test=held, kinds=(JointGain,))
+
+
+# ------------------------------------------------------------------ rows that are fitted too
+
+
+def test_a_row_to_hold_out_that_is_fitted_is_marked() -> None:
+    rows = session(GAIN, n=30)
+    readings = {"distance": rows.xyz[:, :1]}
+    far = dataclasses.replace(
+        rows, xyz=np.full((30, 3), np.nan), readings=readings, blocks=(),
+        labels={"anchor": np.full(30, "a")},
+    )  # fmt: skip
+    also = dataclasses.replace(rows, index=rows.index + 7, readings=readings, labels=far.labels)
+    assert mark_copies(also, rows).all()  # whatever else was measured beside
+    assert mark_copies(rows, rows.take(slice(3, 9))).nonzero()[0].tolist() == list(range(3, 9))
+    for of, other in (
+        (rows, dataclasses.replace(rows, xyz=rows.xyz + 1e-9)),
+        (rows, dataclasses.replace(rows, q=rows.q + 1e-9)),
+        (rows, dataclasses.replace(rows, labels={"marker": np.full(30, "a")})),
+        (far, dataclasses.replace(far, readings={"distance": far.readings["distance"] + 1e-9})),
+        (far, dataclasses.replace(far, labels={"anchor": np.full(30, "b")})),
+    ):
+        assert not mark_copies(other, of).any()
+        assert mark_copies(other, other).all()
+
+
+def test_rows_that_are_fitted_prove_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows, test, said = session(GAIN, n=30), session(GAIN, n=12, seed=5), list[str]()
+    with pytest.raises(InputError, match=r"all 30 are rows of.*rows that are not fitted"):
+        diagnose(ARM, rows, test=rows, note=said.append)
+    both = test.followed_by(rows.take(slice(4)))
+    proved = []
+
+    def stop(arm: Any, fitted: Session, *, test: Session, **rest: Any) -> None:
+        proved.append(test.xyz)
+        raise JobError("stopped")
+
+    monkeypatch.setattr(core, "diagnose", stop)
+    for held in (both, test):
+        with pytest.raises(JobError, match="stopped"):
+            diagnose(ARM, rows, test=held, note=said.append)
+    assert [len(each) for each in proved] == [12, 12]
+    np.testing.assert_array_equal(proved[0], test.xyz)
+    assert [line for line in said if "left out" in line] == [
+        f"{both.source}: 4 of 16 rows left out: they are fitted"
+    ]
 
 
 # ------------------------------------------------------------------ folds
