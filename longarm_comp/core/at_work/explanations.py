@@ -59,7 +59,7 @@ class Branch:
     """One explanation of the sightings: the changes so far, and the posterior that follows."""
 
     weight: float  # its probability
-    known: RecursivePosterior  # its posterior
+    posterior: RecursivePosterior  # its posterior
     changes: tuple[_PastChange, ...] = ()  # the changes that it takes for certain, in order
     left_out: int = 0  # number of sightings that it takes for wrong
     age: int = _PATIENCE  # number of sightings since the last surprising one
@@ -69,32 +69,32 @@ class Branch:
 
         Each comes with the log of its weight times the likelihood of the sighting.
         """
-        before = self.known
+        before = self.posterior
         if row.is_new:
             before = before.with_anew(before.common + 3 * row.place, row.structure)
         for which in row.anew:
             before = before.with_anew(which, np.eye(1))
-        known, weight = before.update(row), math.log(self.weight)
-        wrong = known.surprise > SURPRISE
+        posterior, weight = before.update(row), math.log(self.weight)
+        wrong = posterior.surprise > SURPRISE
         age = 0 if wrong else self.age + 1
-        taken = dataclasses.replace(self, known=known, age=age)
-        yield weight + math.log1p(-DOUBT) + known.log_likelihood, taken
+        taken = dataclasses.replace(self, posterior=posterior, age=age)
+        yield weight + math.log1p(-DOUBT) + posterior.log_likelihood, taken
         if wrong:
-            doubt = weight + math.log(DOUBT) + row.log_doubt(self.known.expected_values)
+            doubt = weight + math.log(DOUBT) + row.log_doubt(self.posterior.expected_values)
             left_out = self.left_out + 1
-            yield doubt, dataclasses.replace(self, known=before, left_out=left_out, age=age)
+            yield doubt, dataclasses.replace(self, posterior=before, left_out=left_out, age=age)
 
     def split(self) -> Iterator[Branch]:
         """Yield one branch for each effect that has probably changed, and one without them.
 
         As long as the sightings do not show which effects these are, only this branch is yielded.
         """
-        known = self.known
-        chance = known.probability.sum(axis=0)
+        posterior = self.posterior
+        chance = posterior.probability.sum(axis=0)
         some = float(chance.sum())
         order = np.argsort(-chance)[:MOST]
-        sure = some > CREDIBLE and known.chance_unexplained < NEGLIGIBLE + 0.5 * some
-        count = known.count[int(known.probability[:, order[0]].argmax())] if sure else 0
+        sure = some > CREDIBLE and posterior.chance_unexplained < NEGLIGIBLE + 0.5 * some
+        count = posterior.count[int(posterior.probability[:, order[0]].argmax())] if sure else 0
         few = sure and chance[order].sum() >= (1.0 - DOUBT) * some and count >= _FEWEST
         if not (few or count >= _LATEST):
             yield self
@@ -102,33 +102,35 @@ class Branch:
         likely = [c for c in order[: MOST - 1].tolist() if chance[c] > NEGLIGIBLE]
         past = {change.key for change in self.changes}
         for c in likely:
-            key, changes = known.space.keys[c], self.changes
+            key, changes = posterior.space.keys[c], self.changes
             if key not in past:
-                t = int(known.probability[:, c].argmax())
+                t = int(posterior.probability[:, c].argmax())
                 changes += (
                     _PastChange(
                         key=key,
-                        where=known.space.where(c),
-                        since_s=float(known.since[t]),
-                        sightings=int(known.count[t]),
-                        before=tuple(known.value_before(t, c).tolist()),
+                        where=posterior.space.where(c),
+                        since_s=float(posterior.since[t]),
+                        sightings=int(posterior.count[t]),
+                        before=tuple(posterior.value_before(t, c).tolist()),
                     ),
                 )
             yield dataclasses.replace(
                 self,
                 weight=self.weight * float(chance[c]),
-                known=known.given_change(c),
+                posterior=posterior.given_change(c),
                 changes=changes,
             )
         rest = self.weight * (1.0 - float(chance[likely].sum()))
         if rest > NEGLIGIBLE:
-            yield dataclasses.replace(self, weight=rest, known=known.without_changes(likely))
+            yield dataclasses.replace(
+                self, weight=rest, posterior=posterior.without_changes(likely)
+            )
 
     def merged_with(self, other: Branch) -> Branch:
         """Return this explanation with the weight and the moments of a less probable one too."""
         whole = self.weight + other.weight
-        known = self.known.mixed_with(other.known, other.weight / whole)
-        return dataclasses.replace(self, weight=whole, known=known)
+        posterior = self.posterior.mixed_with(other.posterior, other.weight / whole)
+        return dataclasses.replace(self, weight=whole, posterior=posterior)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,7 +149,7 @@ class Explanations:
     @property
     def space(self) -> Parameters:
         """The parameters of the model and of all possible changes."""
-        return self.branches[0].known.space
+        return self.branches[0].posterior.space
 
     def update(self, row: Row) -> Explanations:
         """Return the explanations and their weights after one more sighting."""
@@ -179,17 +181,17 @@ class Explanations:
     @cached_property
     def expected_values(self) -> np.ndarray:
         """The mean (q,) of the parameters over all explanations."""
-        return np.sum([b.weight * b.known.expected_values for b in self.branches], axis=0)
+        return np.sum([b.weight * b.posterior.expected_values for b in self.branches], axis=0)
 
     @cached_property
     def covariance(self) -> tuple[np.ndarray, np.ndarray]:
         """The positions (p,) of the uncertain parameters, and their covariance (p, p)."""
-        active = np.unique(np.concatenate([b.known.spread[0] for b in self.branches]))
+        active = np.unique(np.concatenate([b.posterior.spread[0] for b in self.branches]))
         made = np.zeros((len(active), len(active)))
         for b in self.branches:
-            places, covariance = b.known.spread
+            places, covariance = b.posterior.spread
             own = np.isin(active, places)
-            off = (b.known.expected_values - self.expected_values)[active]
+            off = (b.posterior.expected_values - self.expected_values)[active]
             made += b.weight * np.outer(off, off)
             made[np.ix_(own, own)] += b.weight * covariance
         return active, made
@@ -213,9 +215,9 @@ class Explanations:
             for change in b.changes:
                 if space.knocks[c := space.keys.index(change.key)]:
                     own = space.own(c)
-                    off[own] = b.known.expected_values[own] - change.before
+                    off[own] = b.posterior.expected_values[own] - change.before
             gone = float(np.linalg.norm(columns @ off)) > least
-            made += b.weight * (1.0 if gone else b.known.probability[:, space.knocks].sum())
+            made += b.weight * (1.0 if gone else b.posterior.probability[:, space.knocks].sum())
         return made
 
     @property
@@ -228,12 +230,12 @@ class Explanations:
     @property
     def error_growth(self) -> float:
         """Factor by which the square of the errors that no parameter explains has grown."""
-        return sum(b.weight * b.known.error_growth for b in self.branches)
+        return sum(b.weight * b.posterior.error_growth for b in self.branches)
 
     @property
     def chance_unexplained(self) -> float:
         """Probability that something changed that no known effect explains."""
-        return sum(b.weight * b.known.chance_unexplained for b in self.branches)
+        return sum(b.weight * b.posterior.chance_unexplained for b in self.branches)
 
     @cached_property
     def places(self) -> dict[str, float]:
@@ -245,7 +247,7 @@ class Explanations:
         return dict(made)
 
 
-class Named(Declared):
+class NamedChange(Declared):
     """A change: its place, and the most probable effect there.
 
     Attributes:
@@ -274,24 +276,24 @@ class Named(Declared):
         return f"{names}, {self.where}: {by}"
 
 
-def name_change(known: Explanations, where: str) -> Named:
+def name_change(explanations: Explanations, where: str) -> NamedChange:
     """Describe the change at a place by the effect that has most probably changed there."""
-    here = [(b, c) for b in known.branches for c in b.changes if c.where == where]
+    here = [(b, c) for b in explanations.branches for c in b.changes if c.where == where]
     whole = sum(b.weight for b, _ in here)
     chances = defaultdict[str, float](float)
     for branch, change in here:
         chances[change.key[0]] += branch.weight / whole
     first, *others = sorted(chances, key=lambda name: -chances[name])
     branch, change = next((b, c) for b, c in here if c.key[0] == first)
-    space = branch.known.space
+    space = branch.posterior.space
     places = space.own(space.keys.index(change.key))
-    moved = branch.known.expected_values[places] - np.array(change.before)
+    moved = branch.posterior.expected_values[places] - np.array(change.before)
     slots = [space.slots[k] for k in places]
     several = len({s.owner.where for s in slots}) > 1
     names = [f"{s.owner.where} " * several + s.parameter.name for s in slots]
     units = [s.parameter.unit for s in slots]
     by = tuple(each for each in zip(names, units, moved.tolist(), strict=True) if each[-1])
-    return Named(
+    return NamedChange(
         effect=first,
         where=where,
         since_s=change.since_s,

@@ -13,7 +13,7 @@ from typing import Literal
 from pydantic import Field
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.at_work.explanations import Named
+from longarm_comp.core.at_work.explanations import NamedChange
 from longarm_comp.core.at_work.learner import STEP_M, Learner, Version
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.files import check_regular, follow_link, write_text
@@ -27,7 +27,7 @@ class _StoredVersion(Declared):
 
     at_s: float | None
     model: StoredModel
-    named: Named | None
+    named: NamedChange | None
 
 
 class _StoredLearner(Declared):

@@ -18,7 +18,7 @@ from longarm_comp.core.arm.context import LEGS, Context
 from longarm_comp.core.arm.history import History
 from longarm_comp.core.arm.moves import run_up_lengths
 from longarm_comp.core.at_work.changes import Parameters
-from longarm_comp.core.at_work.explanations import Branch, Explanations, Named, name_change
+from longarm_comp.core.at_work.explanations import Branch, Explanations, NamedChange, name_change
 from longarm_comp.core.at_work.posterior import RecursivePosterior
 from longarm_comp.core.at_work.row import Row
 from longarm_comp.core.compensation.expected import expected_miss
@@ -76,7 +76,7 @@ class Version:
 
     at_s: float
     model: Model  # with its uncertainty
-    named: Named | None  # the change; None for the given model
+    named: NamedChange | None  # the change; None for the given model
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +84,14 @@ class Learner:
     """The model at work. It never changes: `learn` returns the next one."""
 
     model: Model  # the model in use
-    known: Explanations | None = None  # None before the first sighting
+    explanations: Explanations | None = None  # None before the first sighting
     versions: tuple[Version, ...] = ()  # of the model; the first is the given one
     frozen: bool = False  # whether sightings are ignored
     step_m: float = STEP_M  # largest step of the tip at the pose of one sighting, m
     sightings: int = 0  # number of sightings learned from
     doubtful: int = 0  # number of these that seem wrong and are left out
     lately: tuple[int, ...] = ()  # `doubtful` before and after each of the last `LATELY` sightings
-    older: int = 1  # number of versions that are older than `known`
+    older: int = 1  # number of versions that are older than `explanations`
     knocked: bool = False  # whether base, tip or a measuring device has probably been knocked
     settled: Model | None = None  # the model in use before the present doubt; None without a doubt
     payload_kg: float = math.nan  # at the last sighting
@@ -143,17 +143,19 @@ class Learner:
         """
         if self.frozen:
             return self
-        known = self.known or _begin_explanations(self.model, self.uncertainty, context)
+        explanations = self.explanations or _begin_explanations(
+            self.model, self.uncertainty, context
+        )
         before = self.domain or self.uncertainty.domain
         promised = dataclasses.replace(self.prior, domain=before)
         domain = None if before is None else before.plus(q)
         error = error_of_sighting(self.model, promised, q, context, variance, learned)
-        space, arm = known.space, self.model.arm
+        space, arm = explanations.space, self.model.arm
         point, columns = space.columns(self.model, q, context)
         at = space.values(self.model)
         # Error of the linear equation at the present estimate
-        bent = space.at(known.within_bounds).measured(q, context) - point
-        bent = bent - columns @ (known.within_bounds - at)
+        bent = space.at(explanations.within_bounds).measured(q, context) - point
+        bent = bent - columns @ (explanations.within_bounds - at)
         row = Row(
             t_s,
             columns,
@@ -165,16 +167,16 @@ class Learner:
             common=error.common,
             anew=(PAYLOAD,) if is_other_payload(self.payload_kg, context) else (),
         )
-        taken = dataclasses.replace(self._take_in(known, row), domain=domain)
+        taken = dataclasses.replace(self._take_in(explanations, row), domain=domain)
         served = taken._serve_mean(row, q, context)
         return dataclasses.replace(served, payload_kg=float(context.payload_kg(0.0)))
 
     def _take_in(self, before: Explanations, row: Row) -> Learner:
         """Return the learner after one more sighting, its model unchanged."""
-        known = before.update(row)
-        doubtful = self.doubtful + known.left_out - before.left_out
-        older = self.older if self.known else len(self.versions)
-        places = known.places
+        explanations = before.update(row)
+        doubtful = self.doubtful + explanations.left_out - before.left_out
+        older = self.older if self.explanations else len(self.versions)
+        places = explanations.places
         versions = self.versions[:older]
         for v in self.versions[older:]:  # without changes that are no longer likely
             if v.named and places.get(v.named.where, 0.0) > 0.5:
@@ -182,11 +184,11 @@ class Learner:
         said = {v.named.where for v in versions if v.named}
         for where, chance in places.items():  # a new version where a change is now certain
             if where not in said and chance >= CREDIBLE:
-                served = self._model_at(known, known.within_bounds)
-                versions = (*versions, Version(row.t_s, served, name_change(known, where)))
+                served = self._model_at(explanations, explanations.within_bounds)
+                versions = (*versions, Version(row.t_s, served, name_change(explanations, where)))
         return dataclasses.replace(
             self,
-            known=known,
+            explanations=explanations,
             versions=versions,
             older=older,
             sightings=self.sightings + 1,
@@ -199,22 +201,24 @@ class Learner:
 
         The step is bounded. While the last sightings are in doubt, the model does not move.
         """
-        known = self.known
-        assert known is not None
-        at = known.space.values(self.model)
-        wanted = known.within_bounds - at
+        explanations = self.explanations
+        assert explanations is not None
+        at = explanations.space.values(self.model)
+        wanted = explanations.within_bounds - at
         step = float(np.linalg.norm(row.columns @ wanted))
         scatter = math.sqrt(float(np.trace(self.prior.noise + self.prior.structure)))
-        knocked = known.chance_of_knock(row.columns, KNOCK * scatter) > 0.5
-        in_doubt = known.is_disputed or known.chance_unexplained > 0.5 or knocked
+        knocked = explanations.chance_of_knock(row.columns, KNOCK * scatter) > 0.5
+        in_doubt = explanations.is_disputed or explanations.chance_unexplained > 0.5 or knocked
         if step < WORTH * scatter and not (in_doubt or self.settled):
             return dataclasses.replace(self, knocked=knocked)
         share = 0.0
         if not in_doubt:
-            share = self._share_of_step(known.space.at(known.within_bounds), q, context)
+            share = self._share_of_step(
+                explanations.space.at(explanations.within_bounds), q, context
+            )
         return dataclasses.replace(
             self,
-            model=self._model_at(known, at + share * wanted),
+            model=self._model_at(explanations, at + share * wanted),
             knocked=knocked,
             settled=(self.settled or self.model) if in_doubt else None,
         )
@@ -238,13 +242,13 @@ class Learner:
             bound[far] = np.maximum(self.step_m, miss.sizes[1])
         return min(1.0, float((bound / np.maximum(moved, 1e-12)).min()))
 
-    def _model_at(self, known: Explanations, values: np.ndarray) -> Model:
+    def _model_at(self, explanations: Explanations, values: np.ndarray) -> Model:
         """Build the model with parameter values (q,), and its uncertainty about these values."""
-        model = known.space.at(values)
+        model = explanations.space.at(values)
         given = self.prior
-        active, covariance = known.covariance
-        off = (known.within_bounds - values)[active]
-        slots = [known.space.slots[k] for k in active]
+        active, covariance = explanations.covariance
+        off = (explanations.within_bounds - values)[active]
+        slots = [explanations.space.slots[k] for k in active]
         held = {term.key for term in model.terms}
         changed = {s.owner.key: s.owner for s in slots if isinstance(s.owner, Effect)}
         absent = {term.key: term for term in given.absent} | changed
@@ -255,7 +259,7 @@ class Learner:
             self.uncertainty,
             slots=tuple(slots[k].identity for k in kept),
             factor=factor_of(left[np.ix_(kept, kept)]),
-            structure=known.error_growth * (given.structure + given.noise) - given.noise,
+            structure=explanations.error_growth * (given.structure + given.noise) - given.noise,
             absent=tuple(absent.values()),
             domain=self.domain,
         )
@@ -268,23 +272,25 @@ class Learner:
         returned if there is no rival, if a single sighting would not decide between them, before
         the first sighting, and while the learner is frozen.
         """
-        if self.known is None or self.frozen:
+        if self.explanations is None or self.frozen:
             return None
-        first, *others = self.known.branches
+        first, *others = self.explanations.branches
         rivals = [b for b in others if b.weight > 1.0 - CREDIBLE and _new_effect(b, first)]
         if not rivals:
             return None
         from scipy.stats import qmc  # takes a quarter of a second
 
-        space, arm = self.known.space, self.model.arm
+        space, arm = self.explanations.space, self.model.arm
         unit, turn = np.split(qmc.Sobol(2 * arm.n, seed=0).random(POOL), 2, axis=1)
         q, side = arm.lower + (arm.upper - arm.lower) * unit, np.where(turn < 0.5, -1.0, 1.0)
         legs = np.zeros((*q.shape, LEGS))
         legs[..., 0] = side * run_up_lengths(arm)
         came = History(side, legs, legs[..., 0]).fields()
         there = dataclasses.replace(_at_all(context, len(q)), **came)
-        each = (b.known for b in (first, *rivals))
-        likely = (space.most_probable(known.expected_values, *known.spread) for known in each)
+        each = (b.posterior for b in (first, *rivals))
+        likely = (
+            space.most_probable(posterior.expected_values, *posterior.spread) for posterior in each
+        )
         tips = [space.at(values).tip(q, there) for values in likely]
         off = np.array(tips[1:]) - tips[0]
         left = self.prior.structure_at(q, least_moved(arm))  # as `learn` takes it
@@ -298,18 +304,19 @@ class Learner:
         return PoseRequest(q[best], side[best], between)
 
     @property
-    def named(self) -> tuple[Named, ...]:
+    def named(self) -> tuple[NamedChange, ...]:
         """The changes, in the order in which they became certain."""
         return tuple(v.named for v in self.versions if v.named is not None)
 
     @property
-    def now(self) -> tuple[Named, ...]:
+    def now(self) -> tuple[NamedChange, ...]:
         """The changes of `named`, with names and sizes as estimated now."""
-        known = self.known
-        if known is None:
+        explanations = self.explanations
+        if explanations is None:
             return self.named
         return tuple(
-            name_change(known, n.where) if n.where in known.places else n for n in self.named
+            name_change(explanations, n.where) if n.where in explanations.places else n
+            for n in self.named
         )
 
     @property
@@ -320,7 +327,7 @@ class Learner:
     @property
     def unexplained(self) -> bool:
         """True if no known effect explains a change (probability 95 %): a diagnosis is needed."""
-        return self.known is not None and self.known.chance_unexplained >= CREDIBLE
+        return self.explanations is not None and self.explanations.chance_unexplained >= CREDIBLE
 
     def freeze(self) -> Learner:
         """Return the learner that keeps its model and ignores sightings until `thaw`."""
@@ -340,7 +347,9 @@ class Learner:
 
     def _settle(self, model: Model) -> Learner:
         """Return the learner that uses a model, without what it knows from sightings."""
-        return dataclasses.replace(self, model=model, known=None, knocked=False, settled=None)
+        return dataclasses.replace(
+            self, model=model, explanations=None, knocked=False, settled=None
+        )
 
 
 def _at_all(context: Context, count: int) -> Context:
@@ -362,5 +371,5 @@ def _begin_explanations(model: Model, record: ModelUncertainty, context: Context
     factor = record.factor[[record.row[name] for name in fitted]]
     active = np.array([space.position[name] for name in fitted], dtype=int)
     values = space.values(model)
-    known = RecursivePosterior.begin(space, values, active, factor @ factor.T, COMMON)
-    return Explanations((Branch(1.0, known),))
+    posterior = RecursivePosterior.begin(space, values, active, factor @ factor.T, COMMON)
+    return Explanations((Branch(1.0, posterior),))

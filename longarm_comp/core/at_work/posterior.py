@@ -63,7 +63,7 @@ class RecursivePosterior:
     ones, in standard deviations, and each pose's own, m."""
     active: np.ndarray  # (p + m,) positions in `mean` of what is not known exactly
     covariance: np.ndarray  # (p + m, p + m) of the active ones
-    again: np.ndarray  # (C,) bool, whether an effect has changed before
+    changed_before: np.ndarray  # (C,) bool, whether an effect has
     since: np.ndarray  # (T,) s, time of the first sighting after each onset
     count: np.ndarray  # (T,) number of sightings since each onset
     span: np.ndarray  # (T,) number of sightings before each of which it may have been
@@ -99,7 +99,7 @@ class RecursivePosterior:
             mean=np.append(mean, np.zeros(common)),
             active=np.append(active, len(mean) + np.arange(common)),
             covariance=whole,
-            again=np.zeros(c, bool),
+            changed_before=np.zeros(c, bool),
             since=np.zeros(0),
             count=np.zeros(0, int),
             span=np.zeros(0),
@@ -226,9 +226,9 @@ class RecursivePosterior:
             "tcik,tck,tcjk->tcij", turn, np.einsum("tcs,tcsk->tck", chance, share), turn
         )
         log_prior = self.space.log_prior + math.log(_HAZARD * (1.0 - UNNAMED))
-        if self.again.any():
-            more = math.log(_AGAIN / self.again.sum())
-            log_prior = np.where(self.again, np.maximum(log_prior, more), log_prior)
+        if self.changed_before.any():
+            more = math.log(_AGAIN / self.changed_before.sum())
+            log_prior = np.where(self.changed_before, np.maximum(log_prior, more), log_prior)
         log_span = np.log(self.span)[:, None]
         unnamed = self.growth + math.log(_HAZARD * UNNAMED / len(_GROWN)) + log_span
         log_weight = np.where(self.ruled_out, -np.inf, factor + log_prior + log_span)
@@ -237,9 +237,9 @@ class RecursivePosterior:
     @property
     def total(self) -> float:
         """The log of the sum of all possibilities' weights; "nothing changed" has weight 1."""
-        h = self.possible
-        top = max(float(h.log_weight.max(initial=0.0)), float(h.unnamed.max(initial=0.0)))
-        whole = math.exp(-top) + np.exp(h.log_weight - top).sum() + np.exp(h.unnamed - top).sum()
+        p = self.possible
+        top = max(float(p.log_weight.max(initial=0.0)), float(p.unnamed.max(initial=0.0)))
+        whole = math.exp(-top) + np.exp(p.log_weight - top).sum() + np.exp(p.unnamed - top).sum()
         return top + math.log(whole)
 
     @cached_property
@@ -335,11 +335,11 @@ class RecursivePosterior:
         """
         chance = self.probability[:, c] / max(float(self.probability[:, c].sum()), 1e-300)
         likely = {(t, c): float(p) for t, p in enumerate(chance) if p > NEGLIGIBLE}
-        whole, again = sum(likely.values()), self.again.copy()
-        again[c] = True
+        whole, changed = sum(likely.values()), self.changed_before.copy()
+        changed[c] = True
         moments = self._moments_over({at: p / whole for at, p in likely.items()})
         begun = RecursivePosterior.begin(self.space, *moments)
-        return dataclasses.replace(begun, again=again, common=self.common)
+        return dataclasses.replace(begun, changed_before=changed, common=self.common)
 
     def mixed_with(self, other: RecursivePosterior, share: float) -> RecursivePosterior:
         """Return the posterior with mean and covariance of a mixture with another one.

@@ -106,7 +106,6 @@ class Realisable:
     rounded_error: np.ndarray  # at `rounded`
     error: np.ndarray  # at `joints`
     nodes: int  # number of nodes that the searches visited
-    on_lattice: np.ndarray  # (n,) bool, joints that were chosen among their steps
     reason: str  # why the choice is plain rounding; empty if it is not
     note: str  # which joints with steps stay at their ideal value, and why
 
@@ -164,7 +163,6 @@ def choose(
         rounded_error=sizes[1],
         error=sizes[2],
         nodes=nodes,
-        on_lattice=np.isin(np.arange(len(best)), problem.stepped),
         reason=why,
         note=problem.note,
     )

@@ -56,7 +56,7 @@ def test_the_change_of_a_loosely_known_parameter_is_the_whole_of_it() -> None:
     (change,) = explained.branches[0].changes
     before = dict(zip(space.own(space.keys.index(change.key)), change.before, strict=True))
     assert before[own] == pytest.approx(was, abs=0.05 * width)
-    now = explained.branches[0].known.expected_values[own]
+    now = explained.branches[0].posterior.expected_values[own]
     assert now == pytest.approx(was + width, abs=0.1 * width)
 
 
@@ -111,9 +111,10 @@ def test_what_the_model_holds_wears_as_often_as_something_new_appears() -> None:
 def test_in_quiet_hours_nothing_is_named_and_nothing_is_lost() -> None:
     work, begun = Work(), Learner.of(fitted())
     learner = work.learned(begun, 60)
-    assert learner.known is not None and learner.named == () and not learner.unexplained
+    assert learner.explanations is not None and learner.named == () and not learner.unexplained
     assert learner.doubtful == 0
-    assert max(b.known.total for b in learner.known.branches) < -np.log(0.9)  # nothing changed
+    totals = [b.posterior.total for b in learner.explanations.branches]
+    assert max(totals) < -np.log(0.9)  # nothing changed
     assert work.missed(learner.model, 0.0) < work.missed(begun.model, 0.0) + 2e-5
     first, last = learner.versions[0].model.uncertainty, learner.model.uncertainty
     assert first is not None and last is not None
@@ -176,13 +177,13 @@ def test_one_wrong_sighting_that_a_slipped_joint_would_explain_is_forgotten() ->
     tip = true_tip(q[None] + 5e-3 * np.eye(ARM.n)[0], side[None])[0]
     fooled = calm.learn(q, context, tip, VARIANCE, 400.0)
     assert np.array_equal(fooled.model.values, calm.model.values)
-    assert fooled.known is not None and fooled.doubtful == 0  # it explains the sighting well
+    assert fooled.explanations is not None and fooled.doubtful == 0  # it explains the sighting well
     after = work.learned(fooled, 4)
     assert after.doubtful == 1 and work.missed(after.model, 0.0) < 1e-4
 
 
 def test_what_a_sighting_parted_is_kept_for_ten_more() -> None:
-    known = Work().learned(Learner.of(fitted()), 3).known
+    known = Work().learned(Learner.of(fitted()), 3).explanations
     assert known is not None
     likely = dataclasses.replace(known.branches[0], weight=1.0 - 1e-6)
     young = dataclasses.replace(likely, weight=1e-6, left_out=1, age=0)
@@ -198,14 +199,14 @@ def test_what_may_have_changed_is_in_the_covariance() -> None:
     """Play has grown by 0.8 mrad with a probability of some 80 %."""
     work = Work()
     learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, more=4e-4)
-    assert learner.known is not None
-    known = learner.known.branches[0].known
+    assert learner.explanations is not None
+    known = learner.explanations.branches[0].posterior
     chance = known.probability.sum(axis=0)
     c = known.space.keys.index(("friction_hysteresis", f"joint {JOINT}"))
     assert 0.5 < chance[c] < 0.95 and chance.argmax() == c
     (width, *_), jump = known.space.own(c), 8e-4
     (unchanged,) = np.flatnonzero(known.active == width)
-    for active, covariance in (known.spread, learner.known.covariance):
+    for active, covariance in (known.spread, learner.explanations.covariance):
         (at,) = np.flatnonzero(active == width)
         more = covariance[at, at] - known.covariance[unchanged, unchanged]
         assert 0.8 < more / (chance[c] * (1.0 - chance[c]) * jump**2) < 1.8
@@ -291,14 +292,14 @@ def test_it_does_not_ask_where_no_pose_tells() -> None:
     """Play, friction and droop of a joint that carries no load move the tip alike everywhere."""
     work = Work()
     learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG)
-    known = learner.known
+    known = learner.explanations
     assert known is not None
     names = [b.changes[0].key[0] for b in known.branches]
     alike = {"friction_hysteresis", "backlash"}
     few = [b for b, name in zip(known.branches, names, strict=True) if name in alike]
     assert len(few) >= 2
     even = tuple(dataclasses.replace(b, weight=1.0 / len(few)) for b in few)
-    unsure = dataclasses.replace(learner, known=dataclasses.replace(known, branches=even))
+    unsure = dataclasses.replace(learner, explanations=dataclasses.replace(known, branches=even))
     assert unsure.request_pose(work.pose()[1]) is None
 
 
@@ -306,9 +307,9 @@ def test_it_compares_explanations_within_the_bounds_of_their_parameters() -> Non
     """A filter may expect a compliance below 0 and the tip 5 mm off: within bounds it is at 0."""
     work = Work()
     learner = work.learned(work.learned(Learner.of(fitted()), 5), 3, LAG)
-    assert learner.known is not None
-    first = learner.known.branches[0]
-    space = learner.known.space
+    assert learner.explanations is not None
+    first = learner.explanations.branches[0]
+    space = learner.explanations.space
     off, soft = own = np.array(
         [
             next(k for k, s in enumerate(space.slots) if (s.owner.name, s.parameter.name) == name)
@@ -326,12 +327,12 @@ def test_it_compares_explanations_within_the_bounds_of_their_parameters() -> Non
             dataclasses.replace(
                 first,
                 weight=0.5,
-                known=RecursivePosterior.begin(space, at, own, covariance),
+                posterior=RecursivePosterior.begin(space, at, own, covariance),
                 changes=changes,
             )
             for at, changes in ((space.values(fitted()), ()), (mean, first.changes))
         ]
-        return dataclasses.replace(learner, known=Explanations(tuple(each))).request_pose(
+        return dataclasses.replace(learner, explanations=Explanations(tuple(each))).request_pose(
             work.pose()[1]
         )
 

@@ -85,8 +85,8 @@ def test_sag_of_a_load_that_no_row_had_is_no_payload_at_the_others() -> None:
     assert learner.named == () and not learner.unexplained
     for kg in (0.1, 0.3, 0.5):
         assert off_at(learner.model, kg) < 1.5e-4
-    assert learner.known is not None
-    known = learner.known.branches[0].known
+    assert learner.explanations is not None
+    known = learner.explanations.branches[0].posterior
     assert 0.6 < abs(known.mean[len(known.space) + 4]) < 0.9  # of its standard deviation
 
 

@@ -158,8 +158,8 @@ def test_where_a_knock_of_what_measures_looks_alike_the_model_stays_and_promises
         shift = np.linalg.norm(learner.model.tip(FRESH) - given.tip(FRESH), axis=1)
         assert shift.max() < 0.3 * np.linalg.norm(off)  # before it was sure
         if k == 5:  # it may also be wrong; taken for right, it is a knock before it has a name
-            assert learner.known is not None
-            taken = max(learner.known.branches, key=lambda b: b.known.probability.sum())
+            assert learner.explanations is not None
+            taken = max(learner.explanations.branches, key=lambda b: b.posterior.probability.sum())
             alone = Explanations((dataclasses.replace(taken, weight=1.0),))
             nowhere = np.zeros((3, len(alone.space)))
             assert taken.changes == () and alone.chance_of_knock(nowhere, 1e-3) > 0.5

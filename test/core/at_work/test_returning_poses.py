@@ -80,9 +80,9 @@ def test_the_last_poses_are_followed() -> None:
     first = Work().learned(Learner.of(fitted()), 1)
     learner = Work().learned(Work().learned(first, VISITED), 1)  # and once more to the first pose
     learner = Work(seed=1).learned(learner, 1)
-    assert first.known is not None and learner.known is not None
-    (_, pose), visited = first.known.visited[0], learner.known.visited
+    assert first.explanations is not None and learner.explanations is not None
+    (_, pose), visited = first.explanations.visited[0], learner.explanations.visited
     assert {place for place, _ in visited} == set(range(VISITED))
     assert [place for place, at in visited if (at == pose).all()] == [0]
-    each = [b.known for b in learner.known.branches]
+    each = [b.posterior for b in learner.explanations.branches]
     assert {len(known.mean) - len(known.space) for known in each} == {COMMON + 3 * VISITED}

@@ -50,22 +50,24 @@ def test_a_split_loses_no_probability() -> None:
         columns = np.zeros((3, len(space)))
         columns[:, alike] = rng.standard_normal((3, 1)) * 1e-3 / space.widths[alike]
         off = columns[:, alike[0]] * space.widths[alike[0]]
-        first = dataclasses.replace(first, known=first.known.update(row(taken, columns, off)))
+        first = dataclasses.replace(
+            first, posterior=first.posterior.update(row(taken, columns, off))
+        )
         taken, made = taken + 1, list(first.split())
         if len(made) > 1:
             break
         assert taken <= 15
-    chance = first.known.probability.sum(axis=0)
+    chance = first.posterior.probability.sum(axis=0)
     *named, rest = made
     split = [space.keys.index(b.changes[0].key) for b in named]
     assert len(named) == MOST - 1 and rest.changes == ()
     assert [b.weight for b in named] == pytest.approx(chance[split].tolist())
     assert sum(b.weight for b in made) == pytest.approx(1.0) and rest.weight > 0.3
-    left = rest.known.probability.sum(axis=0)
+    left = rest.posterior.probability.sum(axis=0)
     others = np.setdiff1d(np.arange(len(chance)), split)
     np.testing.assert_allclose(left[others], chance[others] / rest.weight)
     assert not left[split].any()
-    again = rest.known.update(row(taken, columns, off))  # from now on they may change again
+    again = rest.posterior.update(row(taken, columns, off))  # from now on they may change again
     ruled_out = np.isneginf(again.possible.log_weight[:, split])
     assert ruled_out[:-1].all() and not ruled_out[-1].any()
 
@@ -87,6 +89,6 @@ def test_explanations_that_merge_keep_their_moments() -> None:
     merged = next(b for b in Explanations(branches).update(nothing).branches if not b.changes)
     share = 0.19 / 0.49
     assert merged.weight == pytest.approx(0.49)
-    np.testing.assert_allclose((merged.known.mean - known.mean)[:6], share * away)
-    more = merged.known.covariance - known.covariance
+    np.testing.assert_allclose((merged.posterior.mean - known.mean)[:6], share * away)
+    more = merged.posterior.covariance - known.covariance
     np.testing.assert_allclose(more, share * (1.0 - share) * np.outer(away, away), atol=1e-15)

@@ -188,20 +188,18 @@ def test_nothing_is_found_where_nothing_is(data_dir: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.long
-def test_compliance_is_a_set_with_servo_droop(data_dir: Path, tmp_path: Path) -> None:
-    found, left = twin(data_dir, "one_joint_compliance_300", tmp_path)
+@pytest.mark.parametrize(
+    ("name", "other", "left_m"),
+    [("joint_compliance", "servo_droop", 3e-4), ("backlash", "servo_deadband", 1e-3)],
+)
+def test_an_effect_is_a_set_with_what_a_servo_does_alike(
+    data_dir: Path, tmp_path: Path, name: str, other: str, left_m: float
+) -> None:
+    """Without readings no row tells the two apart."""
+    found, left = twin(data_dir, f"one_{name}_300", tmp_path)
     assert found["verdict"] == "set"
-    assert [set(f["set"]) for f in found["findings"]] == [{"joint_compliance", "servo_droop"}]
-    assert np.linalg.norm(left, axis=1).mean() < 3e-4
-
-
-@pytest.mark.long
-def test_backlash_is_named(data_dir: Path, tmp_path: Path) -> None:
-    """Without readings a servo's deadband does the same, and the set says so."""
-    found, left = twin(data_dir, "one_backlash_300", tmp_path)
-    assert found["verdict"] == "set"
-    assert [set(f["set"]) for f in found["findings"]] == [{"backlash", "servo_deadband"}]
-    assert np.linalg.norm(left, axis=1).mean() < 1e-3
+    assert [set(f["set"]) for f in found["findings"]] == [{name, other}]
+    assert np.linalg.norm(left, axis=1).mean() < left_m
 
 
 @pytest.mark.long

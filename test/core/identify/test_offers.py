@@ -17,7 +17,7 @@ from longarm_comp.core.calibration.calibrate import geometry_terms
 from longarm_comp.core.calibration.candidates import Candidate, list_candidates
 from longarm_comp.core.calibration.fit import fit_model
 from longarm_comp.core.calibration.fit_columns import FitColumns
-from longarm_comp.core.calibration.linear import Marginal
+from longarm_comp.core.calibration.linear import SIZES, Marginal
 from longarm_comp.core.calibration.model_fit import ModelFit, prior_widths
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.compliances import JointCompliance, ServoDroop
@@ -34,11 +34,13 @@ from longarm_comp.core.effects.masses import GravityDirection
 from longarm_comp.core.effects.plays import Backlash
 from longarm_comp.core.effects.typical_loads import typical_loads
 from longarm_comp.core.identify.discover.functions import FunctionFamily
-from longarm_comp.core.identify.model_tolerance import ModelTolerance
+from longarm_comp.core.identify.intervals import LOOSE
+from longarm_comp.core.identify.model_tolerance import RIGID, ModelTolerance
+from longarm_comp.core.identify.posterior.explained import widen_prior
 from longarm_comp.core.identify.posterior.found import FoundEffect, ProposedFunction, replace_effect
 from longarm_comp.core.identify.posterior.offer_bank import OfferBank
 from longarm_comp.core.identify.posterior.offered_effects import OfferedEffects
-from longarm_comp.core.identify.posterior.offers import make_offers, tolerance_columns
+from longarm_comp.core.identify.posterior.offers import AMPLITUDES, make_offers, tolerance_columns
 from longarm_comp.core.identify.posterior.proposed_functions import propose_functions
 from longarm_comp.core.model.model import Model
 from longarm_comp.sim.hidden import drives
@@ -366,6 +368,18 @@ def test_a_unit_of_a_functions_prior_moves_the_rows_by_one_noise() -> None:
     inside = fitted.weights > 0
     white = FitColumns(fitted).prior_columns([term])[inside, :, 0] / fitted.sigma
     assert np.sqrt((white**2).sum() / inside.sum()) == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_function_that_was_found_has_a_wide_prior_instead_of_amplitudes() -> None:
+    term = Discovered("joint 2", "turn z", "linear(q2)", "q2 0..1", 1e-4, 2e-3)
+    found = FoundEffect.of((term,), 1.0, 20.0)
+    wide = widen_prior(found)
+    assert [t.scale for t in wide.terms] == [LOOSE * 2e-3]  # type: ignore[union-attr]
+    fitted = calibrated(SMALL, measured(SMALL, (), ROWS, 3))
+    banks = [make_offers(fitted, (), (), (f,), [RIGID])[0].bank for f in (found, wide)]
+    assert [offer.sizes for bank in banks for offer in bank.offers] == [AMPLITUDES, SIZES]
+    named = FoundEffect.of((JointGain(2),), 1.0, 20.0)
+    assert widen_prior(named) is named
 
 
 def test_what_was_found_keeps_the_price_of_its_choice() -> None:
