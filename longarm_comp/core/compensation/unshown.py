@@ -85,7 +85,7 @@ def unshown_effects(model: Model, q: np.ndarray, context: Context) -> tuple[np.n
         here = np.flatnonzero(away | other)
         if not len(here):
             continue
-        effects = _judge_joint(model, known, known.domain, j, moved, context)
+        effects = _judge_joint(model, known, known.domain, j, moved)
         if not effects.text:  # the model holds them all
             continue
         added = _compute_covariance(model, q[here], context.take(here), effects)
@@ -119,7 +119,7 @@ def structure_left(
     size = np.einsum("kii->k", grown)
     far = np.flatnonzero(size > np.trace(known.structure))
     if known.domain is not None and len(far):
-        effects = _judge_moved(model, known, known.domain, context)
+        effects = _judge_moved(model, known, known.domain)
         bound = _carry_to_tip(model, q[far], context.take(far), effects)
         most = np.maximum(np.einsum("kii->k", bound), np.trace(known.structure))
         grown[far] *= np.minimum(1.0, most / size[far])[:, None, None]
@@ -163,12 +163,7 @@ def _shares_of_sides(model: Model) -> np.ndarray:
 
 
 def _judge_joint(
-    model: Model,
-    known: ModelUncertainty,
-    domain: RowDomain,
-    joint: int,
-    moved: bool,
-    context: Context,
+    model: Model, known: ModelUncertainty, domain: RowDomain, joint: int, moved: bool
 ) -> _Unshown:
     """Compute what the rows say of the effects of a joint, from the places where they stood.
 
@@ -183,14 +178,12 @@ def _judge_joint(
         else:  # such rows do not tell how an error varies with it
             places[:, joint] = places[:, joint].mean()
         left = known.noise + known.structure
-        model.memo[name] = _judge_effects(model, known, places, context, effects, left)
+        model.memo[name] = _judge_effects(model, known, places, effects, left)
     held: _Unshown = model.memo[name]
     return held
 
 
-def _judge_moved(
-    model: Model, known: ModelUncertainty, domain: RowDomain, context: Context
-) -> _Unshown:
+def _judge_moved(model: Model, known: ModelUncertainty, domain: RowDomain) -> _Unshown:
     """Compute what the rows say of the effects of all joints that moved, but for sides.
 
     What the model leaves unexplained is similar in similar rows, so all rows count as one.
@@ -200,8 +193,7 @@ def _judge_moved(
         rows = [model.arm.commanded[j] for j in np.flatnonzero(np.isfinite(domain.span))]
         every = {e.key: e for row in rows for e in _list_effects(model, known, row) if not e.inputs}
         effects, left = list(every.values()), known.noise + len(domain.q) * known.structure
-        made = _judge_effects(model, known, domain.q, context, effects, left, _LARGE)
-        model.memo[name] = made
+        model.memo[name] = _judge_effects(model, known, domain.q, effects, left, _LARGE)
     held: _Unshown = model.memo[name]
     return held
 
@@ -210,17 +202,17 @@ def _judge_effects(
     model: Model,
     known: ModelUncertainty,
     places: np.ndarray,
-    context: Context,
     effects: Sequence[Effect],
     left: np.ndarray,
     size: float = 1.0,
 ) -> _Unshown:
     """Compute what rows at some places say of effects.
 
+    The rows' own circumstances are not known any more, so the middle of their ranges stands for
+    them, and the end of the session for their times.
+
     Args:
         places: (R, n) joints, rad and m.
-        context: circumstances of commands. The rows' own are not known any more, so those of the
-            first command stand for them, but for the history.
         left: (3, 3) m^2, covariance of what each row leaves.
         size: of the effects, in standard deviations of their prior.
     """
@@ -233,7 +225,8 @@ def _judge_effects(
     shares = _shares_of_sides(model)
     drawn = np.random.default_rng(0).random(places.shape) < shares[:, 1]
     unmoved = (np.ptp(places, axis=0) <= arm.telling) & (shares[:, 0] == 0.5)
-    there = context.take(np.zeros(len(places), int))
+    amid = {name: 0.5 * (low + high) for name, (low, high) in known.circumstances.items()}
+    there = Context(columns=amid).as_left(model.ended_s)
     came = _arriving(there, np.where(drawn | unmoved, 1.0, -1.0))
     noise = math.sqrt(max(float(np.trace(left)) / 3.0, 1e-12))
     columns = _columns(model, places, came, (*fitted, *absent))

@@ -20,11 +20,12 @@ from longarm_comp.core.compensation.compensate import compensate, judge
 from longarm_comp.core.compensation.result import CompensationOptions, Method
 from longarm_comp.core.compensation.sighting import error_of_sighting
 from longarm_comp.core.compensation.unknown import history_joints
-from longarm_comp.core.compensation.unshown import describe_unshown, unshown_effects
+from longarm_comp.core.compensation.unshown import describe_unshown, structure_left, unshown_effects
 from longarm_comp.core.data.session import Session
 from longarm_comp.core.effects.catalogue import searched_effects
 from longarm_comp.core.effects.effect import Effect
 from longarm_comp.core.effects.geometry_errors import JointZero
+from longarm_comp.core.effects.slow_changes import BaseSettling
 from longarm_comp.core.model.declared_model import declared_model
 from longarm_comp.core.model.model import Model, slots_of, unstack
 from longarm_comp.core.model.model_file import restore, store
@@ -232,6 +233,38 @@ def test_what_is_worth_a_word_depends_on_what_is_expected_anyway() -> None:
         other = dataclasses.replace(known, largest_m=largest_m)
         covariance, why = unshown_effects(dataclasses.replace(model, uncertainty=other), q, context)
         assert covariance.any() and any(why) is said
+
+
+def test_what_the_rows_show_does_not_depend_on_a_command() -> None:
+    """The rows had their loads: a first command with another one may not change what they show."""
+    kg, (q, sides) = np.linspace(0.0, 4.0, 60), commands(rows := session(gain(HELD), still=HELD))
+    loaded = dataclasses.replace(rows, columns={"payload_kg": kg})
+    leaning = BaseSettling(about_x=0.1)
+    model = dataclasses.replace(learned(loaded).with_missing([leaning]), ended_s=600.0)
+    assert model.uncertainty is not None
+    ranges = model.uncertainty.circumstances
+    away, beyond = q.copy(), 2.0 * q
+    away[:, HELD], beyond[:, HELD] = ARM.upper[HELD], q[:, HELD]
+
+    def added(model: Model, kg: float) -> np.ndarray:
+        assert model.uncertainty is not None
+        columns = {"payload_kg": kg, "t_s": 600.0}
+        context = Context(approach=tuple(sides.T), columns=columns)
+        left = structure_left(model, model.uncertainty, beyond, context)
+        return np.concatenate([unshown_effects(model, away, context)[0], left])
+
+    def with_loads(low: float, high: float) -> Model:
+        known = dataclasses.replace(
+            model.uncertainty, circumstances={**ranges, "payload_kg": (low, high)}
+        )
+        return dataclasses.replace(model, uncertainty=known)
+
+    first, after = added(model, 0.0), with_loads(0.0, 4.0)
+    added(after, 50.0)
+    np.testing.assert_array_equal(added(after, 0.0), first)
+    np.testing.assert_array_equal(added(with_loads(2.0, 2.0), 0.0), first)
+    for other in (with_loads(4.0, 4.0), dataclasses.replace(model, ended_s=36e3)):
+        assert np.abs(added(other, 0.0) - first).max() > 1e-3 * np.abs(first).max()
 
 
 def test_nothing_is_said_of_effects_that_the_model_holds() -> None:
