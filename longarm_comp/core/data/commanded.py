@@ -21,7 +21,9 @@ from longarm_comp.core.model.model import Model
 MEASURING_SIDE = "(measuring side)"
 
 
-def commanded_errors(model: Model, session: Session, near: Posture | None = None) -> np.ndarray:
+def commanded_errors(
+    model: Model, session: Session, near: Posture | None = None, seen: np.ndarray | None = None
+) -> np.ndarray:
     """Compute measured - predicted, (M, 3) m, with a prediction from what a command knows.
 
     The M rows are those of `compute_tip_errors`.  The mean displacement of the fitted rows by the
@@ -30,7 +32,10 @@ def commanded_errors(model: Model, session: Session, near: Posture | None = None
 
     Args:
         near: a similar model's posture at the M rows, which saves time.
+        seen: `compute_tip_errors` of the same rows, which are these if a command knows everything.
     """
+    if seen is not None and is_known_to_command(model, session):
+        return seen
     told = as_commanded(model)
     missed = compute_tip_errors(told, own_way(session), near)
     return missed if told.biases == model.biases else missed - model.frame_shift
@@ -136,6 +141,12 @@ def as_commanded(model: Model) -> Model:
         effects=tuple(e for e in model.effects if e.commandable),
         biases=tuple(b for b in model.biases if b.geometry),
     )
+
+
+def is_known_to_command(model: Model, session: Session) -> bool:
+    """Tell whether a command knows all that the model and the session's rows hold."""
+    earlier = session.legs[session.told != 0, 1:].any()
+    return not earlier and as_commanded(model).terms == model.terms
 
 
 def own_way(session: Session) -> Session:

@@ -20,6 +20,7 @@ from longarm_comp.core.calibration.model_fit import ModelFit, prior_bounds, prio
 from longarm_comp.core.data.commanded import (
     as_commanded,
     commanded_errors,
+    is_known_to_command,
     own_way,
     with_frame_shift,
 )
@@ -116,19 +117,22 @@ def _errors_without_each(
     made = np.zeros((len(each), 2, 2, len(rows), 3))
     if not len(rows):
         return made
-    model, own = fitted.model, own_way(rows)
-    at = compute_posture(model, rows), compute_posture(as_commanded(model), own)
-    made[:, 0] = compute_tip_errors(model, rows, at[0])
-    made[:, 1] = commanded_errors(model, own, at[1])
+    model = fitted.model
+    at = commanded_at = compute_posture(model, rows)
+    if not is_known_to_command(model, rows):
+        commanded_at = compute_posture(as_commanded(model), own_way(rows))
+    made[:, 0] = seen = compute_tip_errors(model, rows, at)
+    made[:, 1] = commanded_errors(model, rows, commanded_at, seen)
     for places, errors in zip(each, made, strict=True):
         if places.isdisjoint(t.key for t in model.terms):
             continue
         # A first-order fit may overshoot; the model without any new fit is then better
         tried = (refit_without(fitted, places), model.without(places))
-        seen = [compute_tip_errors(less, rows, at[0]) for less in tried]
-        nearest = int(np.argmin([np.linalg.norm(error) for error in seen]))
+        missed = [compute_tip_errors(less, rows, at) for less in tried]
+        nearest = int(np.argmin([np.linalg.norm(error) for error in missed]))
         less = with_frame_shift(tried[nearest], fitted.session, fitted.posture)
-        errors[:, 0] = seen[nearest], commanded_errors(less, own, at[1])
+        seen = missed[nearest]
+        errors[:, 0] = seen, commanded_errors(less, rows, commanded_at, seen)
     return made
 
 

@@ -139,8 +139,9 @@ def prove_models(
             known = (expected.in_domain & placed.has_position)[:, None]
             predictions.append((NETWORK, model, np.where(known, expected.error, 0.0)))
         for name, model, error in predictions:
-            seen[name].append(compute_tip_errors(model, placed) - error)
-            commanded[name].append(commanded_errors(model, placed) - error)
+            missed = compute_tip_errors(model, placed)
+            seen[name].append(missed - error)
+            commanded[name].append(commanded_errors(model, placed, seen=missed) - error)
             turned[name].append(compute_turn_errors(model, turning))
     held = np.sort(np.concatenate([f.numbers for f in folds]))
     (rows_at, of_fold), (turned_at, of_turned) = (

@@ -76,9 +76,9 @@ def _best_steps(share: np.ndarray, white: np.ndarray, left: np.ndarray) -> np.nd
     along, size = (white * left).sum(1), 0.5 * (white**2).sum(1)
 
     def gain(counts: np.ndarray, digits: type = float) -> np.ndarray:
-        teeth = _rounding_errors(np.outer(share.astype(digits), counts.astype(digits)))
-        first = along.astype(digits) @ teeth
-        square = size.astype(digits) @ np.square(teeth, out=teeth)
+        teeth = _rounding_errors(np.outer(counts.astype(digits), share.astype(digits)))
+        first = teeth @ along.astype(digits)
+        square = np.square(teeth, out=teeth) @ size.astype(digits)
         return np.asarray((first - square / counts) / counts)
 
     counts = np.arange(COARSEST, FINEST, APART)

@@ -72,6 +72,7 @@ class OfferBank:
         self._at_site = {site: sites_of == site for site in set(sites_of.tolist())}
         # By the places that other effects take; most of these leave the same of the offers
         self._reduced: dict[frozenset[Hashable], _Reduced] = {}
+        self._left: dict[tuple[int, frozenset[Hashable]], Offer | None] = {}
         self._table_of_left: dict[Hashable, OfferTable] = {}
         self._evidences: dict[tuple[Offer, ...], float] = {}
 
@@ -132,18 +133,29 @@ class OfferBank:
                 made.setdefault(key, []).append(n)
         return made
 
+    @cached_property
+    def _several(self) -> dict[int, frozenset[Hashable]]:
+        """The places of the offers of which a part may be left: those at more than two places."""
+        return {n: frozenset(o.keys) for n, o in enumerate(self.offers) if len(o.keys) > 2}
+
     def _reduce_offers(self, held: frozenset[Hashable]) -> _Reduced:
         """Return what is left of the offers if other effects take the places `held`."""
         if held not in self._reduced:
             numbers = sorted({n for key in held for n in self._numbers_at.get(key, ())})
-            several = [n for n in numbers if len(self.offers[n].keys) > 2]  # 1 or 0 is left of 2
-            rest = {n: self.offers[n].free_part(held) for n in several}
+            taken = {n: held & self._several[n] for n in numbers if n in self._several}
+            rest = {n: self._free_part(n, lost) for n, lost in taken.items()}
             left = {n: offer for n, offer in rest.items() if offer is not None}
-            kept = tuple((n, offer.keys) for n, offer in left.items())
+            kept = tuple((n, taken[n]) for n in left)
             if kept not in self._table_of_left:
                 self._table_of_left[kept] = OfferTable(self.gram, self.coefficients, left)
             self._reduced[held] = _Reduced(np.array(numbers, int), left, self._table_of_left[kept])
         return self._reduced[held]
+
+    def _free_part(self, number: int, held: frozenset[Hashable]) -> Offer | None:
+        key = number, held
+        if key not in self._left:
+            self._left[key] = self.offers[number].free_part(held)
+        return self._left[key]
 
     @property
     def scores(self) -> np.ndarray:

@@ -43,13 +43,13 @@ class OfferTable:
         self._starts, r = np.cumsum(counts) - counts, len(offers)
         self._row = np.repeat(np.arange(r), counts)
         self._columns = np.array([k for o in offers for k in o.column_numbers], dtype=int)
-        self._share = np.zeros((len(self._row), most))
-        self._odds = np.full((r, most), -np.inf)
+        self._share = np.zeros((most, len(self._row)))
+        self._odds = np.full((most, r), -np.inf)
         self._price = np.array([offer.log_prior for offer in offers]) - NONE
         sizes = np.ones((r, most))
         for n, offer in enumerate(offers):
             sizes[n, : len(offer.sizes)] = offer.sizes
-            self._odds[n, : len(offer.sizes)] = offer.chances
+            self._odds[: len(offer.sizes), n] = offer.chances
             if offer.fixed:
                 own = list(offer.column_numbers)
                 self._price[n] -= 0.5 * gram[np.ix_(own, own)].sum()
@@ -77,7 +77,7 @@ class OfferTable:
         at = np.flatnonzero(np.isfinite(self._lower) | np.isfinite(self._upper))
         self._bounded, self._first = np.unique(self._row[at], return_index=True)
         self._turn_bounded = self._turn[at]
-        self._sd = np.sqrt(self._turn_bounded.power(2) @ self._share)
+        self._sd = np.sqrt(self._turn_bounded.power(2) @ self._share.T)
         self._ends = self._lower[at][:, None], self._upper[at][:, None]
 
     def _rotate_group(self, group: np.ndarray, own: np.ndarray, sizes: np.ndarray) -> np.ndarray:
@@ -95,14 +95,14 @@ class OfferTable:
         root = prior_root(of.like[places])
         turned = np.swapaxes(root, -2, -1) @ (s + np.swapaxes(s, 1, 2)) @ root / 2
         values, turn = np.linalg.eigh(turned)
-        square = sizes[group][:, None, :] ** 2
-        grown = 1.0 + square * np.maximum(values, 0.0)[..., None]
-        self._share[own] = square / grown
-        self._odds[group] -= np.log(grown).sum(axis=1) / 2
+        square = sizes[group].T[..., None] ** 2
+        grown = 1.0 + square * np.maximum(values, 0.0)
+        self._share[:, own] = square / grown
+        self._odds[:, group] -= np.log(grown).sum(axis=2) / 2
         bounds = of.lower[places], of.upper[places]
         if np.isfinite(bounds).any():
-            low, high = (b[:, None, :] / sizes[group][..., None] for b in bounds)
-            self._odds[group] -= log_prior_mass(low, high, of.like[places][:, None, :])
+            low, high = (b / sizes[group].T[..., None] for b in bounds)
+            self._odds[:, group] -= log_prior_mass(low, high, of.like[places][None])
         return np.asarray(root @ turn)
 
     def score_offers(self, along: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
@@ -116,16 +116,16 @@ class OfferTable:
         """
         own = along[self._columns]
         z = self._turn_back @ own
-        shrunk = self._share * z[:, None]
-        each = np.add.reduceat(shrunk * z[:, None], self._starts) / 2 + self._odds
-        mean = self._turn_bounded @ shrunk
+        shrunk = self._share * z
+        each = np.add.reduceat(shrunk * z, self._starts, axis=1) / 2 + self._odds
+        mean = self._turn_bounded @ shrunk.T
         low, high = ((end - mean) / self._sd for end in self._ends)
-        each[self._bounded] += np.add.reduceat(log_mass(low, high), self._first)
-        top = each.max(axis=1)
-        chance = np.exp(each - top[:, None])
-        whole = chance.sum(axis=1)
+        each[:, self._bounded] += np.add.reduceat(log_mass(low, high), self._first).T
+        top = each.max(axis=0)
+        chance = np.exp(each - top)
+        whole = chance.sum(axis=0)
         odds = top + np.log(whole) + self._price + np.add.reduceat(self._fixed * own, self._starts)
-        return odds, (shrunk, chance / whole[:, None])
+        return odds, (shrunk, chance / whole)
 
     def mean_coefficients(self, found: tuple[np.ndarray, np.ndarray], q: np.ndarray) -> np.ndarray:
         """Return the (K,) mean coefficients of the columns, averaged over offers and sizes.
@@ -137,6 +137,6 @@ class OfferTable:
             q: (R,) probability of each offer.
         """
         shrunk, chance = found
-        mean = self._turn @ (shrunk * chance[self._row]).sum(axis=1)
-        mean = np.clip(mean, self._lower, self._upper) + self._fixed
+        mean = self._turn @ (shrunk * chance[:, self._row]).sum(axis=0)
+        mean = np.minimum(np.maximum(mean, self._lower), self._upper) + self._fixed
         return np.bincount(self._columns, q[self._row] * mean, minlength=len(self._gram))

@@ -61,6 +61,7 @@ class ExplanationSearch:
         say: called with the name of each effect found.
         functions: functions without a name that are on offer.
         nameless: whether an arm with only soft parts (`ModelTolerance.is_soft`) is tried.
+        scanned: the fit whose servo steps are among the candidates.
     """
 
     base: Model
@@ -71,6 +72,7 @@ class ExplanationSearch:
     say: Callable[[str], None]
     functions: tuple[ProposedFunction, ...] = ()
     nameless: bool = False
+    scanned: ModelFit | None = None
 
     def repeat_until_best(
         self, state: ExplainedSession, functions: bool = False
@@ -86,9 +88,11 @@ class ExplanationSearch:
         """
         for _ in range(ROUNDS):
             # The servo steps on offer are those that the residual shows now
-            need = NONE + math.log(max(len(self.candidates), 1))
-            steps = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
-            self.candidates = [*(c for c in self.candidates if not c.scanned), *steps]
+            if state.fit is not self.scanned:
+                need = NONE + math.log(max(len(self.candidates), 1))
+                steps = [c for kind in self.stepped for c in scan_steps(state.fit, kind, need)]
+                self.candidates = [*(c for c in self.candidates if not c.scanned), *steps]
+                self.scanned = state.fit
             if functions:
                 tolerance = self.weigh_tolerances(state.fit, state.found)[1]
                 self.functions = propose_functions(
