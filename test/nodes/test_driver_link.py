@@ -42,7 +42,7 @@ def stage(tmp_path_factory: pytest.TempPathFactory, arm: Arm) -> Iterator[Bench]
     folder = tmp_path_factory.mktemp("link")
     friction = FrictionHysteresis(joint=2, width=0.02, inner=0.01, outer=0.01)
     save_model(folder / "model.yaml", store(declared_model(arm).plus(friction)))
-    with own_graph(folder), bench() as made:
+    with own_graph(folder, freezes=True), bench() as made:
         options = {"arm": ARM, "model": folder / "model.yaml", "method": "deflection"}
         made.start(
             "kinematics", {**options, "run_up": False, "acknowledged": True, "acknowledge_s": 0.3,

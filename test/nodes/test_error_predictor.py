@@ -39,7 +39,7 @@ BIAS = np.array([0.002, -0.001, 0.004])
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    with own_graph(tmp_path_factory.mktemp("predictor")), bench() as made:
+    with own_graph(tmp_path_factory.mktemp("predictor"), freezes=True), bench() as made:
         yield made
 
 

@@ -290,7 +290,7 @@ class Rig:
 @contextmanager
 def driver_rig(folder: Path) -> Iterator[Rig]:
     """A driver on a graph of its own."""
-    with own_graph(folder), bench() as stage:
+    with own_graph(folder, freezes=True), bench() as stage:
         made = Rig(stage, folder)
         try:
             yield made

@@ -29,16 +29,22 @@ def claimed_domain() -> Iterator[int]:
 
 
 @contextmanager
-def own_graph(folder: Path) -> Iterator[int]:
+def own_graph(folder: Path, freezes: bool = False) -> Iterator[int]:
     """Its domain, in the environment that processes inherit; logs in the folder.
 
     Its nodes find each other in half a second, not in up to three, and end as soon
     (`discovery.xml`).
+
+    Args:
+        freezes: whether a test stops a process for seconds. Fast DDS then takes its shared memory
+            for that of a dead one and replaces it, so such a graph uses UDP alone.
     """
     with claimed_domain() as domain, pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROS_DOMAIN_ID", str(domain))
         patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         profile = str(Path(__file__).with_name("discovery.xml"))
         patch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", profile)
+        if freezes:
+            patch.setenv("FASTDDS_BUILTIN_TRANSPORTS", "UDPv4")
         patch.setenv("ROS_LOG_DIR", str(folder / "ros_log"))
         yield domain
