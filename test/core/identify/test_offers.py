@@ -227,6 +227,10 @@ def test_names_that_no_measurement_distinguishes_share_evenly() -> None:
     (droop,) = [r for r in soft.rivals if r.name == "servo_droop"]
     assert (droop.judged, droop.unnamed) == ("joint_compliance", False)
     assert droop.log_bayes_factor == pytest.approx(soft.log_bayes_factor)
+    (bank,) = make_offers(fitted, kinds, (), found, [ModelTolerance(0.01, 0.0)])
+    (quick,) = (f for f in bank.find_with_names() if "joint_compliance" in f.names)
+    assert sum(quick.names.values()) == pytest.approx(1.0)
+    assert quick.names["servo_droop"] == pytest.approx(quick.names["joint_compliance"], rel=1e-6)
 
 
 def test_so_do_those_that_stand_in_the_place_of_another() -> None:

@@ -84,6 +84,7 @@ def test_what_follows_a_recorded_column_in_a_line_shows() -> None:
     *_, (_, fitted) = fit_stages(declared_model(ARM), off)
     found = find_structure(fitted, fitted)
     assert found.flag and found.inputs[0] == "temperature_c"
+    assert found.share_explained == 0.0  # no effect was added to the geometry
 
 
 STEP = 2e-3
