@@ -74,11 +74,13 @@ def setup(
     from longarm_comp.arm_folder.measured import note_measured
     from longarm_comp.arm_folder.servos import KEYS, SERVOS, with_joints
     from longarm_comp.core.files import write_text
+    from longarm_comp.devices.kept_turns import keep_turns
     from longarm_comp.devices.servo_bus.registry import open_bus
     from longarm_comp.devices.servo_check import check_reach
     from longarm_comp.devices.servo_config import ServoConfig
     from longarm_comp.devices.servo_setup import ServoSetup, hand_unit, show_value
     from longarm_comp.devices.setup_journal import SetupJournal
+    from longarm_comp.devices.state_folder import state_folder
 
     file, wait, state = folder / SERVOS, partial(go_on, _COMMAND, yes), own_state(folder)
     config = ServoConfig.load(file)
@@ -121,6 +123,7 @@ def setup(
     written = ServoConfig.load(file)  # as the driver will read it
     with closing(written.open_bus()) as bus_now:
         states = bus_now.read(list(written.ids.values()))
+    keep_turns(state_folder(state), folder / "arm.yaml", written, states)
     reads = {n: j.to_si(states[j.servo_id].position_ticks) for n, j in written.joints.items()}
     facts = {
         name: {key: getattr(joint, key) for key in KEYS} | {"now": reads[name]}

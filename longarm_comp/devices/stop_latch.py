@@ -59,10 +59,7 @@ class StopLatch:
     """
 
     def __init__(self, folder: Path, namespace: str, arm: str, port: str) -> None:
-        # The number of a pseudo-terminal is soon reused for another one
-        ports = (port, os.path.realpath(port))
-        known_by = [f"port {name}" for name in ports if name == port or "/pts/" not in name]
-        known_by += [_of_arm(namespace, arm)] if arm else []
+        known_by = names_of_port(port) + [_of_arm(namespace, arm)] * bool(arm)
         self._folder, self.names = folder, {file_name(text): text for text in known_by}
         self.standing: dict[Stop, str] = {}
         self._disk, self._owing = futures.ThreadPoolExecutor(max_workers=1), False
@@ -269,6 +266,13 @@ def _make_files(files: Collection[Path]) -> None:
 
 def _of_arm(namespace: str, arm: str) -> str:
     return f"{namespace} {os.path.realpath(arm)}"
+
+
+def names_of_port(port: str) -> list[str]:
+    """Return the names by which files know a port: as given, and the device to which it leads."""
+    # The number of a pseudo-terminal is soon reused for another one
+    ports = (port, os.path.realpath(port))
+    return [f"port {name}" for name in ports if name == port or "/pts/" not in name]
 
 
 def file_name(text: str) -> str:

@@ -17,7 +17,7 @@ from longarm_comp.core.compensation.online import JointTrust, Readings, StaleCon
 from longarm_comp.core.errors import InputError
 from longarm_comp.core.model.model import Model
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import stamp_ns, told_ns
+from longarm_comp.nodes.clock import sleepless_s, stamp_ns, told_ns
 from longarm_comp.nodes.frames import prefix_of
 from longarm_comp.nodes.health import ERROR, OK, WARN, Report
 from longarm_comp.nodes.messages import (
@@ -302,7 +302,7 @@ class DriverLink:
         refused = self._answer.event == Motion.REFUSED
         return f"the driver refused it: {self._answer.message}" if refused else ""
 
-    def _on_motion(self, message: Motion, sent: float) -> None:
+    def _on_motion(self, message: Motion, sent: float | None) -> None:
         if message.event == Motion.ACCEPTED:
             try:
                 start, path = motion_of(message, self._arm)
@@ -320,7 +320,7 @@ class DriverLink:
         for listen in self.motion_listeners:
             listen(message)
 
-    def _on_trajectory(self, message: JointTrajectory, sent: float) -> None:
+    def _on_trajectory(self, message: JointTrajectory, sent: float | None) -> None:
         try:
             path = path_of(message, self._arm)
         except InputError as error:
@@ -358,7 +358,7 @@ class DriverLink:
         if self._left:
             self.forget_history()
 
-    def _on_state(self, message: DriverState, sent: float) -> None:
+    def _on_state(self, message: DriverState, sent: float | None) -> None:
         now, last, instance = time.monotonic(), self._state, message.instance
         known = last is not None and last.instance == instance
         if not known and instance in self._known:  # it reports again after another driver did
@@ -370,7 +370,7 @@ class DriverLink:
             self.forget_history()
         went_on = last is not None and known and last.stops == message.stops
         if not went_on or message.state not in _TAKING:
-            self._stopped_s = max(self._stopped_s, sent)
+            self._stopped_s = sleepless_s()  # the driver's clock may be behind
         self._state, self._heard_s = message, now
 
     def report(self) -> Report:

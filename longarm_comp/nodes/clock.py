@@ -27,9 +27,18 @@ def sleepless_s() -> float:
     return time.clock_gettime(_SLEEPLESS)
 
 
-def sent_s(source_ns: int) -> float:
-    """Return when (sleepless s) a message was sent, by its sender's wall clock; 0 ns: now."""
-    return sleepless_s() - max(0.0, 1e-9 * (time.time_ns() - source_ns) if source_ns else 0.0)
+def told_age_s(sent_ns: int, now_ns: int) -> float | None:
+    """Return how long ago (s) something was sent by its sender's clock; None if that is not told.
+
+    A time in the future tells nothing: that clock is ahead, nobody knows how far.
+    """
+    return 1e-9 * (now_ns - sent_ns) if 0 < sent_ns <= now_ns else None
+
+
+def sent_s(source_ns: int) -> float | None:
+    """Return when (sleepless s) a message was sent, if its sender's wall clock tells it."""
+    age_s = told_age_s(source_ns, time.time_ns())
+    return None if age_s is None else sleepless_s() - age_s
 
 
 def stamp_of(ns: int) -> Time:

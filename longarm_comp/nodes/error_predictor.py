@@ -56,7 +56,7 @@ class _ErrorPredictor(ArmNode):
         asked.serve(graph.PREDICT_ERROR, self._on_predict)
         asked.start()
 
-    def _on_predict(self, request: PredictError.Request, reply: Reply, sent: float) -> None:
+    def _on_predict(self, request: PredictError.Request, reply: Reply, sent: float | None) -> None:
         response = PredictError.Response(sigma=math.nan, error=vector_message([math.nan] * 3))
         loaded = self._loaded
         try:

@@ -23,7 +23,14 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.devices.servo_arm import ServoReading
 from longarm_comp.nodes import interfaces as graph
-from longarm_comp.nodes.clock import Ticks, sleepless_s, stamp_ns, stamp_of, steady_timer
+from longarm_comp.nodes.clock import (
+    Ticks,
+    sleepless_s,
+    stamp_ns,
+    stamp_of,
+    steady_timer,
+    told_age_s,
+)
 from longarm_comp.nodes.health import THIS_INSTANCE
 from longarm_comp.nodes.messages import duration, seconds
 from longarm_comp.nodes.params import Param
@@ -62,8 +69,6 @@ def describe_untimely(clock: Clock, stamp: int, max_age_s: float) -> str:
     return f"is {age:.1f} s old" if age > 0 else f"lies {-age:.1f} s in the future"
 
 
-_UNTOLD_S = 1.0
-"""Assumed longest wait of a request, s, if the sender's clock does not tell it."""
 _DEAF_S = 1.0
 """Absence, s, after which what was said meanwhile may be lost: the middleware keeps few messages of
 a topic, and delivers some of them seconds later."""
@@ -133,24 +138,22 @@ class Freshness:
         return min(since, now - 1e-9 * (self._clock.now().nanoseconds - ns)) if ns else since
 
     def waited_s(self, sent_ns: int) -> float:
-        """Return how long (s) a request has waited that was sent at ``sent_ns``, sender's clock.
-
-        If that is 0 (not known) or in the future, the longest possible wait is returned.
-        """
-        late_s = 1e-9 * (time.time_ns() - sent_ns)
-        return late_s if sent_ns and late_s >= 0.0 else max(self.away_s, _UNTOLD_S)
+        """Return how long (s) a request may have waited, sent at ``sent_ns``, wall clock."""
+        told_s = told_age_s(sent_ns, time.time_ns())
+        return self.away_s if told_s is None else told_s
 
     def too_old(self, stamp: Time) -> str:
         """Say why an order with this stamp is too old to be carried out; empty if it is not."""
         ns, since_s = stamp_ns(stamp), sleepless_s() - max(self._anew_s, self.deaf_until_s)
         now_ns = int(self._clock.now().nanoseconds)
         why = describe_untimely(self._clock, ns, self.max_age_s) if ns else ""
-        untold = not ns or self._clock.ros_time_is_active
+        told_s = told_age_s(ns, now_ns)
+        untold = told_s is None or self._clock.ros_time_is_active
         if not why and untold and self.away_s > self.max_age_s:
             why = f"may be {self.away_s:.1f} s old, because this node was away for so long"
         if why:
             return f"the order {why}, allowed {self.max_age_s:g} s"
-        age_s = max(1e-9 * (now_ns - ns) if ns else 0.0, self.away_s if untold else 0.0)
+        age_s = max(told_s or 0.0, self.away_s if untold else 0.0)
         # The clock may have been set back since: then a stamp before that lies in the future
         if age_s >= since_s or 0 < ns < self._anew_ns <= now_ns or now_ns < ns < self._anew_ns:
             began = "the arm was stopped, or went on, or this node was away"

@@ -135,11 +135,11 @@ class PredictorClient:
         self._answers = False
         self.file_hash = ""
 
-    def on_served(self, message: String, sent: float) -> None:
+    def on_served(self, message: String, sent: float | None) -> None:
         """Process a message about the served file: read the file if it is another than before."""
         if message.data != self._told:
             self._told, self._read = message.data, ServedPredictor.find(message.data, self._arm)
-        self._told_s = sent
+        self._told_s = sleepless_s() if sent is None else sent
 
     @property
     def _served_now(self) -> ServedPredictor | None:

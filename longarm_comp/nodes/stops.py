@@ -30,6 +30,9 @@ _MOMENT_S = 0.005
 """Longest time, s, by which the disk may delay what the servos are sent. It mostly takes 1 ms."""
 _LOOK_S = 0.02
 """Time, s, between two looks whether the disk has kept a stop that is not answered yet."""
+_STANDS_S = 1.0
+"""Shortest time, s, for which a stop stands. What was sent before it arrives meanwhile, and is
+refused, also if the sender's clock is ahead."""
 _SWITCHED_OFF = {ServoTrouble.SILENT, ServoTrouble.SUPPLY}
 """Troubles that come of switching the servos' power off: their faults end with the process. All
 others are kept for the next one, because to start a driver again must end no fault."""
@@ -155,11 +158,13 @@ class Stops:
     def _end(self, asked: Asked) -> str:
         """End the stops that the request names; return the driver's state.
 
-        Refused if it was sent before a stop (its sender did not know of the stop), or too long ago.
+        Refused if it may have been sent before a stop (its sender did not know of the stop), or was
+        sent too long ago.
         """
         waited_s = self._fresh.waited_s(asked.sent_ns)
-        if self._unanswered or sleepless_s() - waited_s <= self._stopped:
-            raise JobError("a stop came after this was asked: ask again")
+        if self._unanswered or sleepless_s() - waited_s <= self._stopped + _STANDS_S:
+            when = f"after this was asked, or less than {_STANDS_S:g} s before"
+            raise JobError(f"a stop came {when}: ask again")
         if waited_s > self._fresh.max_age_s:
             allowed = f"allowed {self._fresh.max_age_s:g} s"
             raise JobError(f"this was asked {waited_s:.1f} s ago, {allowed}: ask again")

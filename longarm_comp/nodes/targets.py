@@ -104,13 +104,13 @@ class TargetInlet:
             return f"the target was sent {age_s:.1f} s ago, allowed {self._max_age_s:g} s"
         return why and f"the target's stamp {why}, allowed {self._max_age_s:g} s"
 
-    def _on_target(self, message: PoseStamped, sent: float) -> None:
+    def _on_target(self, message: PoseStamped, sent: float | None) -> None:
         if self._latest is not None:
             self._superseded.append(self._latest)
         if len(self._superseded) > graph.TARGET_POSE.depth:
             self._superseded.popleft()
             self._unrecorded += 1
-        self._latest = message, sent
+        self._latest = message, self._fresh.sent_s(message.header.stamp, sent)
 
     def serve_topic(self) -> bool:
         """Answer the topic's latest target, else a superseded one; return whether there was one."""
@@ -128,12 +128,12 @@ class TargetInlet:
             self._publish_answer(self._compensator.refuse(target, Status.SUPERSEDED, why))
         return True
 
-    def _on_withdrawn(self, message: String, sent: float) -> None:
+    def _on_withdrawn(self, message: String, sent: float | None) -> None:
         if not message.data:
-            self._withdrawn_s = max(self._withdrawn_s, sent)
+            self._withdrawn_s = sleepless_s()  # the clock of who withdrew them may be behind
 
     def _on_compensate(
-        self, message: Compensate.Request, reply: Reply, sent: float, method: str = ""
+        self, message: Compensate.Request, reply: Reply, sent: float | None, method: str = ""
     ) -> None:
         asked = {"execute": message.execute, "seed": message.seed, "method": method}
         target = self.new_target(message.target, message.position_only, sent, **asked)

@@ -46,11 +46,14 @@ _USED: dict[str, tuple[str, ...]] = {
 }
 
 Job = Callable[[], Any]
-Hear = Callable[[Any, float], None]
-"""Callback that gets a message, and the time at which it was sent (sleepless s)."""
+Hear = Callable[[Any, float | None], None]
+"""Callback that gets a message, and when it was sent (sleepless s), if known."""
 
 Reply = Callable[[Any], None]
 """Sends the response to a request."""
+
+Serve = Callable[[Any, Reply, float | None], None]
+"""Callback that gets a request, its reply, and when it was sent (sleepless s), if known."""
 
 _LAST_JOB_S = 2.0
 """Time, s, that the current job has to finish when the node ends."""
@@ -196,8 +199,10 @@ class Worker:
         made = topic.subscription(self._node, lambda message: None, self._group, depth=depth)
         self._topics.append((made, SequenceWatch(), callback))
 
-    def serve(self, service: ServiceName, callback: Callable[[Any, Reply, float], None]) -> None:
-        """Offer a service; the callback gets request, reply function, time of sending (s)."""
+    def serve(
+        self, service: ServiceName, callback: Callable[[Any, Reply, float | None], None]
+    ) -> None:
+        """Offer a service; the callback gets request, reply function, time of sending."""
         self._services.append(service.server(self._node, callback, self._group))
 
     def caller(self, service: ServiceName) -> ServiceCaller:

@@ -21,7 +21,9 @@ def kept_as(folder: Path, *states: frozenset[str], **of: str) -> None:
     """Keep one state after another; each is what a successor finds."""
     made = kept(folder, **of)
     for away in states:
-        assert wait_until(lambda away=away: made.keep(away) or kept(folder, **of).away == away)
+        assert wait_until(
+            lambda away=away: made.keep(away, 60.0) or kept(folder, **of).away == away
+        )
 
 
 def test_a_successor_finds_what_was_kept_last(tmp_path: Path) -> None:
@@ -29,18 +31,24 @@ def test_a_successor_finds_what_was_kept_last(tmp_path: Path) -> None:
     kept_as(tmp_path, A, A | B, NONE, B)
 
 
-def test_an_arm_is_known_by_its_file_and_without_one_by_its_port(tmp_path: Path) -> None:
-    arm = str(tmp_path / "arm.yaml")
-    kept_as(tmp_path, A, arm=arm)
-    kept_as(tmp_path, B)
-    assert kept(tmp_path, arm, "/dev/ttyUSB1").away == A
-    assert kept(tmp_path, str(tmp_path / "other.yaml")).away == NONE
+def test_an_arm_is_known_by_its_file_then_by_its_port_then_by_the_device(tmp_path: Path) -> None:
+    arm, other, port = str(tmp_path / "arm.yaml"), str(tmp_path / "other.yaml"), tmp_path / "port"
+    port.symlink_to(tmp_path / "device")
+    kept_as(tmp_path, A, arm=arm, port=str(port))
+    assert kept(tmp_path, other, str(port)).away == A  # its file was moved
+    assert kept(tmp_path, other, str(tmp_path / "device")).away == A
+    assert kept(tmp_path, other).away == NONE
+    kept_as(tmp_path, NONE, arm=other, port=str(port))  # another arm at this port
+    assert kept(tmp_path, arm, str(port)).away == A
+    kept_as(tmp_path, B, arm=other, port=str(port))
+    assert kept(tmp_path, arm, str(port)).away == A
+    assert kept(tmp_path, port=str(port)).away == B
     assert kept(tmp_path, port="/dev/ttyUSB1").away == NONE
 
 
 def test_every_joint_is_away_where_the_file_cannot_be_read(tmp_path: Path) -> None:
     kept_as(tmp_path, A)
-    (file,) = (tmp_path / TURNS).iterdir()
+    (file,) = (tmp_path / TURNS).iterdir()  # there is no link at its port
     file.write_bytes(b"\xff\xfe")
     assert kept(tmp_path).away == A | B
     file.unlink()

@@ -15,6 +15,7 @@ from servo_terminal import RIGHT, Terminal
 
 from longarm_comp.arm_folder.check import check_record
 from longarm_comp.arm_folder.measured import read_measured
+from longarm_comp.devices.kept_turns import KeptTurns
 from longarm_comp.devices.servo_bus.registry import models, open_bus, scan_line
 from longarm_comp.devices.servo_config import ServoConfig
 from longarm_comp.devices.servo_setup import ServoSetup
@@ -95,7 +96,14 @@ def test_scan_says_what_is_missing(shell: Shell, tmp_path: Path) -> None:
 def test_setup_finds_the_true_zeros(shell: Shell, protocol: str) -> None:
     mine = folder(shell, MODELS[protocol])
     with bus(protocol) as emulator:
+        turns = KeptTurns(state_folder(), str(mine / "arm.yaml"), emulator.port, TRUE)
+        turns.keep(frozenset(TRUE), within_s=None)  # before this setup
         found = shell.json("servo", "setup", mine, "--port", emulator.port, *RIGHT, *POSE_FLAGS)
+        turns = KeptTurns(state_folder(), str(mine / "arm.yaml"), emulator.port, TRUE)
+        at = emulator.positions()
+        assert turns.away == {
+            name for name, true in TRUE.items() if not 0 <= at[true.servo_id] < 4096
+        }
         off = off_by(mine / "servo_driver.yaml", emulator)
         assert not any(emulator.torques_on().values())
     assert max(map(abs, off.values())) <= 1.0, off

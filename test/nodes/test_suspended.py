@@ -86,6 +86,12 @@ def test_an_order_from_before_an_absence_in_which_a_stop_may_be_missed_moves_not
     fresh._note_turn()
     assert "this node was away" in fresh.too_old(before)
     assert not fresh.too_old(stamp())
+    ahead = (stage.node.get_clock().now() + Lapse(seconds=20)).to_msg()
+    assert "this node was away" in fresh.too_old(ahead)  # nobody knows when that was sent
+    for _ in range(3):
+        slept[0] += 0.9
+        fresh._note_turn()
+    assert not fresh.too_old(ahead)
 
 
 def test_a_message_that_waited_through_a_night_was_sent_before_it(
@@ -100,7 +106,9 @@ def test_a_message_that_waited_through_a_night_was_sent_before_it(
     fresh, now = Freshness(stage.node, 45.0), stage.node.get_clock().now()
     waits = sent_s(time.time_ns())
     slept[0] = NIGHT_S
-    assert sent_s(time.time_ns()) - waits >= NIGHT_S
+    later = sent_s(time.time_ns())
+    assert waits is not None and later is not None and later - waits >= NIGHT_S
+    assert sent_s(0) is None and sent_s(time.time_ns() + 60_000_000_000) is None
     slept[0] = 0.0
     hour = (now - Lapse(seconds=3600)).to_msg()
     for stamp, told_s, earlier_s in (

@@ -215,8 +215,6 @@ def test_an_arm_whose_turns_cannot_be_kept_is_held_and_it_is_said(
     assert arm is not None
     folder.write_text("a file where the folder should be")
     driver.moves()
-    stops.keep_turns(arm)
-    assert not stops.standing  # nothing is to be kept
     arm._counts.away = frozenset("a")
     driver.cycles(lambda: stops.keep_turns(arm) or stops.standing)
     assert "turns cannot be kept" in stops.standing and str(folder) in stops.standing

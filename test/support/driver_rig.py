@@ -255,13 +255,9 @@ class Rig:
         return next((int(facts["refused"]) for facts in told if "refused" in facts), -1)
 
     def call(self, service: graph.Service, request: Any) -> Any:
-        """Ask the driver; again where that was old when it was served, on a busy machine."""
+        """Ask the driver; again where a stop still stands, or that was old when it was served."""
         client = service.client(self.stage.node, of="servo_driver")
-        for _ in range(6):
-            answer = self.stage.call(client, request)
-            if not answer.message.endswith("ask again"):
-                break
-        return answer
+        return self.stage.until_heard(lambda: self.stage.call(client, request))
 
     def change(self, transition: int) -> bool:
         """Ask for a transition; whether it was made.

@@ -97,7 +97,8 @@ class StoppedArm:
         return [one.result() for one in asked]
 
     def ask(self, service: graph.Service, data: bool | None = None) -> Any:
-        return self.answers(self.send(service, data))[0]
+        """The answer to a request; asked again while a stop still has to stand."""
+        return self.stage.until_heard(lambda: self.answers(self.send(service, data))[0])
 
     @property
     def on(self) -> set[bool]:
