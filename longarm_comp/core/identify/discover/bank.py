@@ -111,12 +111,11 @@ class FunctionBank:
                 some = [listed[n] for n in portion.tolist()]
                 white = self._white_columns([member for c in some for member in c.members])
                 unit = white * (np.concatenate([c.decay for c in some]) / self._rms_shift(white))
-                t = (marginal.projected_data @ unit).reshape(len(some), count)
-                several = unit.reshape(len(unit), len(some), count).transpose(1, 2, 0)
-                projected = marginal.project(unit).reshape(len(unit), len(some), count)
-                s = several @ projected.transpose(1, 0, 2)
-                values, turned = np.linalg.eigh((s + np.swapaxes(s, 1, 2)) / 2)
-                z = np.einsum("cij,ci->cj", turned, t)
+                s, t = marginal.project_products(unit)
+                every = np.arange(len(some))
+                own = s.reshape(len(some), count, len(some), count)[every, :, every]
+                values, turned = np.linalg.eigh(own)
+                z = np.einsum("cij,ci->cj", turned, t.reshape(len(some), count))
                 each = _evidence_by_amplitude(z, np.maximum(values, 0.0)).sum(-1)
                 made[portion] += _average_amplitudes(each)
         return made
