@@ -6,7 +6,7 @@ WORKERS ?= 5
 # The middleware has once left a reader beside a writer without a message for 300 s, in some hundred
 # runs of the suite, and an emulated servo is a thread of its test. A test that waited for either in
 # vain runs once more; the summary names it.
-AGAIN := --reruns 1 -rR --only-rerun 'not within [0-9]+ s' --only-rerun 'did not answer in time'
+AGAIN := --reruns 1 -raR --only-rerun 'not within [0-9]+ s' --only-rerun 'did not answer in time'
 SPREAD := -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0 $(AGAIN)
 PYTEST_ARGS ?= -m 'not long' $(SPREAD)
 
