@@ -29,10 +29,7 @@ from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from longarm_comp.core.arm.arm import Arm
-from longarm_comp.core.arm.history import History
-from longarm_comp.core.compensation.online import Readings
 from longarm_comp.core.compensation.planned_path import PathLimits
-from longarm_comp.core.compensation.result import Method
 from longarm_comp.core.data.rest import JOINT_REST
 from longarm_comp.core.effects.geometry_errors import DhError
 from longarm_comp.core.model.declared_model import declared_model
@@ -40,7 +37,6 @@ from longarm_comp.core.model.model import Model
 from longarm_comp.core.model.model_file import save_model, store
 from longarm_comp.nodes import interfaces as graph
 from longarm_comp.nodes import trajectory_compensator
-from longarm_comp.nodes.arm_state import ArmState
 from longarm_comp.nodes.bringup import BringUp
 from longarm_comp.nodes.clock import stamp_ns
 from longarm_comp.nodes.messages import duration
@@ -217,42 +213,6 @@ def test_a_path_is_sent_only_from_where_the_arm_still_stands(
     left[:] = [0.0]
     node._not_now = lambda asked, sent_s: f"stopped after {sent_s:g} s"
     assert told() == (None, "stopped after 7 s")
-
-
-def test_a_path_is_computed_in_the_circumstances_of_one_moment(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A payload that is published meanwhile counts for the next path."""
-    kind, still, seen = trajectory_compensator._TrajectoryCompensator, np.zeros(SMALL.n), []
-
-    def compute(model: Model, context_at: Any, history: History, **rest: Any) -> Any:
-        for _ in range(2):
-            seen.append(context_at(history).columns)
-            state.readings = state.readings.with_reading("payload", {"payload_kg": 2.0}, 1e9)
-        return SimpleNamespace(notes=())
-
-    monkeypatch.setattr(trajectory_compensator, "compensate_path", compute)
-    stands = SimpleNamespace(promising=lambda model: model, motion=None)
-    predictor = SimpleNamespace(compensate_with=lambda method, compensate: (compensate(),))
-    state: Any = SimpleNamespace(
-        files=SimpleNamespace(loaded=SimpleNamespace(model=Model(SMALL), stands=stands)),
-        readings=Readings().with_reading("payload", {"payload_kg": 1.0}, time.monotonic()),
-        driver=SimpleNamespace(rests_at=still, history=History.unknown(SMALL.n)),
-        p={"context_max_age_s": 60.0, "max_correction_m": 0.0},
-        predictor=predictor,
-    )
-    state.circumstances = partial(ArmState.circumstances, state)
-    state.context = partial(ArmState.context, state)
-    node: Any = SimpleNamespace(
-        _state=state, _arm=SMALL, _driver=state.driver, _files=state.files, p=state.p,
-        _method=Method.DEFLECTION, _following=0, _limits=PathLimits(),
-        _longest_share=lambda request: 0.0,
-        _plan_of=lambda asked, start: SimpleNamespace(seen_from=lambda motion: None),
-    )  # fmt: skip
-    for _ in range(2):
-        _, why = kind._compensate_request(node, SimpleNamespace(trajectory=None), still)
-        assert not why
-    assert [columns["payload_kg"] for columns in seen] == [1.0, 1.0, 2.0, 2.0]
 
 
 @pytest.mark.parametrize("accepted", [False, True])
